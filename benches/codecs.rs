@@ -23,7 +23,7 @@ const ROUNDS: usize = 7;
 /// Numbers of threads.
 const THREADS: [usize; 2] = [1, 2];
 
-/// Frame `i` of `testdata/window` at four times its width and height, as a JPEG with its EXIF data.
+/// Returns frame `i` of `testdata/window` at four times its width and height, as a JPEG with its EXIF data.
 fn enlarged(i: usize) -> Vec<u8> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("testdata/window/window_{i}.jpg"));
     let small = image::open(&path).expect("a frame of testdata/window").to_rgb8();
@@ -36,7 +36,7 @@ fn enlarged(i: usize) -> Vec<u8> {
     file.encoder().bytes().to_vec()
 }
 
-/// The photographs of HDRALIGN_BENCH_IMAGES, or enlarged frames written to `folder`.
+/// Returns the photographs of HDRALIGN_BENCH_IMAGES, or enlarged frames written to `folder`.
 fn photographs(folder: &Path) -> Vec<PathBuf> {
     if let Ok(names) = std::env::var("HDRALIGN_BENCH_IMAGES") {
         return names.split_whitespace().map(PathBuf::from).collect();
@@ -58,7 +58,7 @@ fn codecs(images: &[PathBuf], options: &Options, outcome: &Outcome) {
     write::commit(files, true).expect("names that can be replaced");
 }
 
-/// Seconds that `work` takes.
+/// Returns the seconds that `work` takes.
 fn seconds<R>(work: impl FnOnce() -> R) -> f64 {
     let began = Instant::now();
     work();
@@ -71,7 +71,8 @@ fn median(mut times: Vec<f64>) -> f64 {
 }
 
 fn main() {
-    // As criterion: a name on the command line selects benches, and `cargo test --benches` only checks that they run.
+    // Like criterion: a name on the command line selects benches, and `cargo test --benches` only checks that they
+    // run.
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     if arguments.iter().any(|a| !a.starts_with('-') && !"codecs".contains(a.as_str())) {
         return;

@@ -36,12 +36,12 @@ fn paths() -> Vec<PathBuf> {
     (1..=5).map(|i| folder.join(format!("window_{i}.jpg"))).collect()
 }
 
-/// The bracket in its original size, 0.96 MP.
+/// Returns the bracket in its original size, 0.96 MP.
 fn small() -> Bracket {
     load(&paths(), &LoadOptions::default()).expect("testdata/window loads").0
 }
 
-/// `frame` with its mirror images to the right and below: four times the pixels.
+/// Returns `frame` with its mirror images to the right and below: four times the pixels.
 fn mirrored(frame: &Frame) -> Frame {
     let (width, height) = (frame.width(), frame.height());
     let whole = frame.whole().expect("in memory");
@@ -69,7 +69,7 @@ fn pixels(bracket: &Bracket) -> u64 {
     (bracket.width() * bracket.height()) as u64
 }
 
-/// `plane` repeated by mirroring, cropped to a size from column `left` on.
+/// Returns `plane` repeated by mirroring, cropped to a size from column `left` on.
 fn mirrored_to(plane: &Plane<u8>, (width, height): (usize, usize), left: usize) -> Plane<u8> {
     let fold = |i: usize, n: usize| if (i / n).is_multiple_of(2) { i % n } else { n - 1 - i % n };
     Plane::from_rows(width, height, |y, row| {
@@ -79,7 +79,8 @@ fn mirrored_to(plane: &Plane<u8>, (width, height): (usize, usize), left: usize) 
     })
 }
 
-/// The bitmap search from two grey planes to the shift; `benches/mtb_beside_opencv.py` compares it with `cv2.AlignMTB`.
+/// The bitmap search from two grey planes to the shift; `benches/mtb_beside_opencv.py` compares it with
+/// `cv2.AlignMTB`.
 fn bitmaps(c: &mut Criterion) {
     let bracket = small();
     let [reference, frame] = [2, 3].map(|i| bracket.frames()[i].grey().expect("in memory"));
@@ -151,7 +152,7 @@ fn alignment(c: &mut Criterion) {
 }
 
 fn features(c: &mut Criterion) {
-    // On the level on which features are detected.
+    // At the pyramid level at which features are detected.
     let bracket = small();
     let [first, second] = [2, 3].map(|i| GreyPyramid::new(bracket.frames()[i].grey().expect("in memory")));
     let options = SiftOptions::default();
@@ -162,7 +163,7 @@ fn features(c: &mut Criterion) {
     // Without descriptors: only the scale space and its extrema.
     let undescribed = SiftOptions { max_keypoints: 0, ..options.clone() };
     group.bench_function("sift detect", |b| b.iter(|| detect(black_box(level), &undescribed)));
-    // As for bitmaps.
+    // The same settings as for bitmaps.
     let single = SiftOptions { double: false, ..options.clone() };
     group.bench_function("sift not doubled", |b| b.iter(|| detect(black_box(level), &single)));
     let sets: [Features; 2] = [detect(level, &options), detect(second.level(1), &options)];

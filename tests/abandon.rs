@@ -1,4 +1,4 @@
-//! What is left of a run that gives up: nothing. It ends the writing of this test program for good, and so has the program to itself.
+//! An abandoned run leaves no files. Abandoning ends all writing of the process, so this test has its own program.
 
 mod support;
 

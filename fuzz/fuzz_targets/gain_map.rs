@@ -1,7 +1,8 @@
 //! The gain-map writer.
 //!
-//! In: any radiance (also what no stage gives: zeros, negative values, infinities, NaN), any picture, primaries, words for the headers and
-//! options. Held: an error for options that are none; else a file that a strict reader takes, whose two pictures decode, of the right sizes.
+//! In: any radiance (also zeros, negative values, infinities and NaN, which no stage returns), any picture,
+//! primaries, header texts and options. Checked: invalid options are an error; otherwise the file is accepted by a
+//! strict reader, and its two pictures can be decoded and have the right sizes.
 #![no_main]
 
 use arbitrary::{Arbitrary, Unstructured};
@@ -17,7 +18,7 @@ use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(init: set_up(), |case: Case| held(|| gain_map(case)));
 
-/// What the writer is given, but for its pixels.
+/// The arguments of the writer, without its pixels.
 #[derive(Debug, Arbitrary)]
 struct Words {
     make: Option<String>,
@@ -45,7 +46,7 @@ struct Case {
 
 impl<'a> Arbitrary<'a> for Case {
     fn arbitrary(u: &mut Unstructured<'a>) -> arbitrary::Result<Self> {
-        // Wide or high ones have several strips and a short last one.
+        // Wide or high pictures have several strips and a short last one.
         let (width, height) = match u.int_in_range(0..=9)? {
             0 => (u.int_in_range(1..=400)?, u.int_in_range(1..=3)?),
             1 => (u.int_in_range(1..=3)?, u.int_in_range(1..=400)?),
@@ -65,7 +66,7 @@ impl<'a> Arbitrary<'a> for Case {
         let gain_map = *u.choose(&[Resolution::Full, Resolution::Half, Resolution::None])?;
         let words = if bool::arbitrary(u)? { Words::arbitrary(u)? } else { Words::arbitrary(&mut Unstructured::new(&[]))? };
         let kind = u.int_in_range(0..=3)?;
-        // Pixels of any size from bytes of any number, again and again.
+        // Pixels of any size from any number of bytes, repeated.
         let bytes = u.bytes(u.len())?;
         let byte = |i: usize| bytes.get(i % bytes.len().max(1)).copied().unwrap_or(0);
         let any = |i: usize| f32::from_bits(u32::from_be_bytes([0, 1, 2, 3].map(|k| byte(4 * i + k))));

@@ -1,8 +1,9 @@
-//! The whole line on tiny brackets.
+//! The whole pipeline on tiny brackets.
 //!
-//! In: 2 to 5 photographs of 1 to 24 pixels a side, of any content and exposure, 8 or 16 bit, and any options. Held: no panic; an error about
-//! the bracket or the options, never about files or the machine; else positive, finite radiance, confidences in 0..=1, a report that is JSON, and
-//! outputs that are read again; of some inputs the same bytes on sixteen threads, in another order, within next to no memory.
+//! In: 2 to 5 photographs of 1 to 24 pixels per side, with any content and exposure, 8 or 16 bits, and any options.
+//! Checked: no panic; an error about the bracket or the options, never about files or the machine; otherwise
+//! positive, finite radiance, confidences in 0..=1, a report that is JSON, and outputs that can be read; for some
+//! inputs the same bytes on sixteen threads, in another order, and with very little memory.
 #![no_main]
 
 use arbitrary::{Arbitrary, Unstructured};
@@ -28,21 +29,22 @@ use std::path::PathBuf;
 
 fuzz_target!(init: set_up(), |case: Case| held(|| line(&case)));
 
-/// What the first photograph shows; the others show it again, moved and exposed otherwise, but for [`Noise`](Content::Noise).
+/// The content of the first photograph; the others show it moved and with another exposure, except for
+/// [`Noise`](Content::Noise).
 #[derive(Debug, Clone, Copy, Arbitrary)]
 enum Content {
-    /// The bytes of the input as they come.
+    /// The bytes of the input.
     Bytes,
-    /// Each frame of its own.
+    /// Different noise in each frame.
     Noise,
     Flat(u16),
     Gradient { x: i8, y: i8 },
     Checkerboard { side: u8 },
-    /// Blobs of a repeatable kind.
+    /// Pseudo-random blobs.
     Blobs(u16),
 }
 
-/// How a frame departs from the first.
+/// Differences between a frame and the first.
 #[derive(Debug, Clone, Copy, Arbitrary)]
 struct Departure {
     shift: (i8, i8),
@@ -62,7 +64,7 @@ struct Case {
     mixed: bool,
     content: Content,
     departures: Vec<Departure>,
-    /// EV, and how the pixels are exposed, which need not agree.
+    /// EV, and the exposure of the pixels, which may contradict each other.
     ev: Vec<f64>,
     gains: Vec<f64>,
     bytes: Vec<u8>,
@@ -70,7 +72,7 @@ struct Case {
     again: bool,
 }
 
-/// Exposures: steps as cameras make them; any; and such as no camera makes.
+/// Returns exposures: steps as in cameras; any; and impossible ones.
 fn exposures(u: &mut Unstructured, count: usize) -> arbitrary::Result<Vec<f64>> {
     let kind = u.int_in_range(0..=7)?;
     (0..count)
@@ -140,7 +142,7 @@ fn options(u: &mut Unstructured, frames: usize) -> arbitrary::Result<Options> {
             1 => Deghost::Auto,
             _ => Deghost::Off,
         },
-        // Its transforms are of one size, and take seconds here, however small the picture.
+        // It computes transforms of a fixed size, which take seconds here for any picture.
             flare: u.ratio(1, 100)?,
         crop: *u.choose(&[Crop::Common, Crop::None])?,
         colour: *u.choose(&[None, None, Some(Space::Rec2020), Some(Space::Acescg), Some(Space::Prophoto)])?,
@@ -191,7 +193,7 @@ impl<'a> Arbitrary<'a> for Case {
             gains: exposures(u, frames)?,
             options: {
                 let mut options = options(u, frames)?;
-                // Without exposures given, the pixels must tell.
+                // Without given exposures they are estimated from the pixels.
                 let is_given = u.ratio(7, 8)?;
                 options.load.ev = is_given.then(Vec::new);
                 options
@@ -202,7 +204,7 @@ impl<'a> Arbitrary<'a> for Case {
     }
 }
 
-/// A number from 0 to 65535 that looks drawn.
+/// A pseudo-random number from 0 to 65535.
 fn drawn(i: u64) -> u16 {
     let mut z = i.wrapping_add(0x9E37_79B9_7F4A_7C15);
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -211,7 +213,7 @@ fn drawn(i: u64) -> u16 {
 }
 
 impl Case {
-    /// The scene at a place, 0..=65535.
+    /// Returns the scene at a position, 0..=65535.
     fn scene(&self, frame: usize, x: i64, y: i64, c: usize) -> u16 {
         let place = ((y * 64 + x) * 3 + c as i64) as u64;
         match self.content {
@@ -231,7 +233,7 @@ impl Case {
         }
     }
 
-    /// Frame `i` as it is photographed.
+    /// Returns a code of frame `i`.
     fn code(&self, i: usize, x: u32, y: u32, c: usize) -> u16 {
         let departure = self.departures[i];
         if departure.dead_row == Some(y as u8) {
@@ -249,11 +251,11 @@ impl Case {
         }
         let light = f64::from(self.scene(i, sx, sy, c)) * self.gains[i].clamp(-40.0, 40.0).exp2();
         let noise = f64::from(departure.noise) * (f64::from(drawn((u64::from(y) << 32) + u64::from(x) + i as u64)) / 32_768.0 - 1.0);
-        // The cast keeps NaN and what is beyond within the type.
+        // The cast keeps NaN and values out of range within the type.
         (light.sqrt() * 256.0 + 16.0 * noise) as u16
     }
 
-    /// The photographs as files.
+    /// Writes the photographs to files.
     fn frames(&self) -> Vec<PathBuf> {
         (0..self.departures.len())
             .map(|i| {
@@ -322,7 +324,7 @@ fn line(case: &Case) {
     }
 }
 
-/// The same bracket in another order, on three threads, within little memory.
+/// Runs the same bracket in another order, on three threads, with little memory.
 fn check_again(case: &Case, mut frames: Vec<PathBuf>, mut options: Options, first: &pipeline::Outcome) {
     let count = frames.len();
     frames.reverse();
@@ -332,7 +334,7 @@ fn check_again(case: &Case, mut frames: Vec<PathBuf>, mut options: Options, firs
     if let ReferenceChoice::Number(n) = &mut options.load.reference {
         *n = count + 1 - *n;
     }
-    // So many do not fit beside the frames, which go on disk.
+    // So many threads leave no memory for the frames, which are moved to disk.
     options.threads = Some(16);
     options.load = LoadOptions {
         memory: Some(MemoryLimit { bytes: MemoryLimit::PROGRAM + (40 << 20), folder: folder().to_owned() }),

@@ -1,7 +1,8 @@
 //! Photographs: the bytes of a file through the header, the decoders, EXIF and ICC.
 //!
-//! In: a JPEG, PNG or TIFF; a TIFF is taken for an EXIF block too, and an ICC profile for that of a small JPEG. Held: no panic, no hang, no
-//! allocation beyond the size; what is loaded has the size and depth that its header says; exposures are numbers; errors name the file.
+//! In: a JPEG, PNG or TIFF; a TIFF is also used as an EXIF block, and an ICC profile as that of a small JPEG.
+//! Checked: no panic, no hang, no allocation beyond the size; a loaded picture has the size and depth of its header;
+//! exposures are finite; errors name the file.
 #![no_main]
 
 use hdralign::bracket::colour::{Found, Profile};
@@ -11,7 +12,7 @@ use hdralign_fuzz::{check_error, hash, header, held, put, set_up};
 use libfuzzer_sys::fuzz_target;
 use std::sync::OnceLock;
 
-/// Pixels that are decoded at the most.
+/// Largest number of pixels that are decoded.
 const MOST_PIXELS: u64 = 1 << 20;
 
 fuzz_target!(init: set_up(), |data: &[u8]| held(|| photograph(data)));
@@ -30,7 +31,7 @@ fn photograph(data: &[u8]) {
     }
 }
 
-/// A JPEG of 8 x 8 pixels with this segment.
+/// Returns a JPEG of 8 x 8 pixels with this segment.
 fn with_segment(code: u8, parts: &[&[u8]]) -> Vec<u8> {
     static PLAIN: OnceLock<Vec<u8>> = OnceLock::new();
     let plain = PLAIN.get_or_init(|| {
@@ -50,11 +51,11 @@ fn with_segment(code: u8, parts: &[&[u8]]) -> Vec<u8> {
     bytes
 }
 
-/// Reads the file `data` by itself and as a bracket of two that are alike.
+/// Reads the file `data` alone, and as a bracket of two equal files.
 fn check(data: &[u8], way: u64) {
     let paths = vec![put("a.jpg", data), put("b.png", data)];
     let header = header(&paths[0]);
-    // Given exposures let any picture through; without, those of the file must do.
+    // With given exposures any picture is accepted; otherwise those in the file are needed.
     let ev = (way % 4 != 0).then(|| vec![0.0, 2.0]);
     let options = LoadOptions { ev, max_pixels: MOST_PIXELS, keep_gps: way & 4 != 0, ..LoadOptions::default() };
     let loaded = load(&paths, &options);
@@ -78,7 +79,7 @@ fn check(data: &[u8], way: u64) {
             if let Err(e) = header {
                 check_error(e, "a.jpg");
             }
-            // Two that are alike are of one size, and are two files.
+            // Two equal files have the same size, and are two files.
             let wrong = matches!(e, Error::SizeMismatch { .. } | Error::SameFile { .. } | Error::TooFewFrames { .. });
             assert!(!wrong, "{e}");
         }

@@ -1,7 +1,8 @@
-//! Files of transforms, plans, reports that a batch reads back, and templates of names.
+//! Files of transforms, plans, reports that a batch reads, and name templates.
 //!
-//! In: the kind by the first byte, and the file. Held: what is read and written again is the same; homographies that are taken place a small
-//! bracket with finite radiance or an error; a job's brackets have its inputs; a name stays below its folder.
+//! In: the kind of file in the first byte, and the file. Checked: a file that is read and written again is the same;
+//! accepted homographies give finite radiance or an error for a small bracket; the brackets of a job have its inputs;
+//! names are inside their folder.
 #![no_main]
 
 use hdralign::align::preset::Preset;
@@ -40,7 +41,7 @@ fn transforms(content: &[u8]) {
     };
     let again = SavedAlignment::from_json(&saved.to_json(), &path).unwrap_or_else(|e| panic!("what was saved: {e}"));
     assert_eq!(again, saved);
-    // Whatever it is said to be of, its places are tried on a bracket of three.
+    // Its transforms are applied to a bracket of three, regardless of the photographs in it.
     let frames = bracket();
     let places = saved.frames.into_iter().zip([&frames[0], &frames[2]]);
     let given = places.map(|(given, path)| Preset { path: path.clone(), ..given }).collect();
@@ -93,7 +94,7 @@ fn plan(content: &[u8]) {
         if let Err(e) = Job::read(&path, std::slice::from_ref(&job.id)) {
             check_error(&e, "plan.jsonl");
         }
-        // Nothing outside of this process's folder is to be read.
+        // No file outside of this process's folder may be read.
         let named = |path: &Path| folder().join(plain(&path.to_string_lossy()));
         (job.report, job.failure) = (path.clone(), named(&job.failure));
         job.outputs.iter_mut().for_each(|path| *path = named(path));

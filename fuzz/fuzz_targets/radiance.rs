@@ -1,7 +1,8 @@
 //! Radiance maps of any writer: `.hdr`, `.exr`, floating-point and LogLuv TIFF.
 //!
-//! In: a file. Held: no panic, no hang, no allocation that its bytes do not account for; a map has as many pixels as its size; what is repaired
-//! is positive and finite; a small one is shown, and written in every format, each of which is read again with the same size.
+//! In: a file. Checked: no panic, no hang, no allocation out of proportion to its bytes; a map has as many pixels as
+//! its size; repaired values are positive and finite; a small map can be shown, and written in every format, and read
+//! again with the same size.
 #![no_main]
 
 use hdralign::bracket::colour::Space;
@@ -13,9 +14,9 @@ use hdralign::write::exr::{Options as ExrOptions, Sample};
 use hdralign_fuzz::{check_error, folder, hash, held, put, set_up};
 use libfuzzer_sys::fuzz_target;
 
-/// Pixels that are decoded at the most.
+/// Largest number of pixels that are decoded.
 const MOST_PIXELS: u64 = 1 << 20;
-/// Pixels up to which it is written again.
+/// Largest number of pixels of maps that are written again.
 const SMALL: usize = 2048;
 
 fuzz_target!(init: set_up(), |data: &[u8]| held(|| radiance(data)));

@@ -1,7 +1,8 @@
 //! Response files: `.json`, `.rsp` and `.csv`.
 //!
-//! In: the kind by the first byte, and the file. Held: what is read rises and is finite, to the floats that a merge takes from it; saved and
-//! read again it is the same: to the bit as JSON, and otherwise the curve that saving said it would be.
+//! In: the kind of file in the first byte, and the file. Checked: curves that are read are finite and increase, also
+//! as 32-bit floats; saved and read again they are the same: exactly as JSON, otherwise the curve that saving
+//! returned.
 #![no_main]
 
 use hdralign::response::file::SavedResponse;
@@ -27,7 +28,7 @@ fn response(data: &[u8]) {
         let encoded = match saved.encode(&path) {
             Ok(encoded) => encoded,
             Err(e) => {
-                // Every curve is kept whole by JSON.
+                // JSON saves every curve exactly.
                 assert!(!name.ends_with("json"), "{e}");
                 check_error(&e, name);
                 continue;
@@ -43,7 +44,7 @@ fn response(data: &[u8]) {
     }
 }
 
-/// That it is what it promises.
+/// Checks the guarantees of a curve.
 fn check(curve: &ResponseCurve) {
     for c in 0..3 {
         assert!(curve.ln_exposure(c).windows(2).all(|w| w[0] < w[1]) && curve.ln_exposure(c).iter().all(|v| v.is_finite()));

@@ -1,6 +1,6 @@
-//! What all targets share: a folder in memory, panics that are told apart, and threads.
+//! Common parts of the targets: a folder in memory, panics that are distinguished, and threads.
 //!
-//! In: bytes of the fuzzer. Out: files, for the library takes paths. Cost: a file of `/dev/shm`, some 20 us.
+//! In: bytes of the fuzzer. Out: files, because the library takes paths. Cost: a file in `/dev/shm`, about 20 us.
 
 mod seeds;
 pub mod ultra_hdr;
@@ -13,11 +13,12 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, OnceLock, PoisonError};
 
-/// Where panics were, and how often.
+/// Locations of panics, and their numbers.
 static PANICS: Mutex<BTreeMap<String, usize>> = Mutex::new(BTreeMap::new());
 
-/// Sets a process up. libfuzzer-sys aborts on every panic, also on those of others' decoders that the library catches on purpose: here
-/// only the first of each place is told, and what [`held`] sees ends the process.
+/// Prepares the process. libfuzzer-sys aborts on every panic, also on those in the decoders of crates that the
+/// library catches. Here only the first panic at each location is printed, and only those that [`held`] sees end the
+/// process.
 pub fn set_up() {
     std::panic::set_hook(Box::new(|panic| {
         let place = panic.location().map(ToString::to_string).unwrap_or_default();
@@ -28,17 +29,17 @@ pub fn set_up() {
             eprintln!("PANIC, to be caught or not: {panic}");
         }
     }));
-    // One thread: the same input goes the same way.
+    // One thread, so that the same input takes the same path.
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build_global();
     pool.expect("the first pool of this process");
-    // A first corpus instead of fuzzing: see seed.sh.
+    // Writes a first corpus instead of fuzzing: see seed.sh.
     if let Some(to) = std::env::var_os("HDRALIGN_FUZZ_SEEDS") {
         seeds::write(Path::new(&to));
         std::process::exit(0);
     }
 }
 
-/// Runs `work`, and aborts where a panic comes out of it.
+/// Runs `work`, and aborts if it panics.
 pub fn held<R>(work: impl FnOnce() -> R) -> R {
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
         let text = panic.downcast_ref::<String>().cloned();
@@ -48,7 +49,7 @@ pub fn held<R>(work: impl FnOnce() -> R) -> R {
     })
 }
 
-/// A folder of this process, in memory where there is one.
+/// The folder of this process, in memory if possible.
 pub fn folder() -> &'static Path {
     static FOLDER: OnceLock<PathBuf> = OnceLock::new();
     FOLDER.get_or_init(|| {
@@ -58,27 +59,27 @@ pub fn folder() -> &'static Path {
     })
 }
 
-/// The file `name` of this process's folder, holding `bytes`.
+/// Writes `bytes` to the file `name` in this process's folder.
 pub fn put(name: &str, bytes: &[u8]) -> PathBuf {
     let path = folder().join(name);
     std::fs::write(&path, bytes).expect("room for a small file");
     path
 }
 
-/// A number that depends on all of `bytes`: what of several ways an input goes.
+/// Returns a number that depends on all of `bytes`, to choose between several ways.
 pub fn hash(bytes: &[u8]) -> u64 {
     // FNV-1a.
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, &b| (hash ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3))
 }
 
-/// What the text of an error must do: name the file, on one line.
+/// Checks the text of an error: it must name the file, on one line.
 pub fn check_error(error: &Error, name: &str) {
     let text = error.to_string();
     assert!(text.contains(name), "{text:?} does not name {name}");
     assert!(!text.trim().is_empty() && !text.contains("\n\n"), "{text:?}");
 }
 
-/// The header of `path`, held to what it promises.
+/// Reads the header of `path` and checks its guarantees.
 pub fn header(path: &Path) -> Result<Header> {
     let header = Header::read(path, &Limits::default())?;
     assert!(header.width > 0 && header.height > 0);

@@ -1,6 +1,6 @@
-//! The first corpus: small files of every kind that is read, made by the program itself and by the encoders that its tests use.
+//! The first corpus: small files of every kind, written by the program and by the encoders of its tests.
 //!
-//! In: a folder. Out: in it a folder for each target, with its inputs. Cost: a second.
+//! In: a folder. Out: a folder for each target in it, with its inputs. Cost: a second.
 
 use crate::{folder, put};
 use exif::experimental::Writer;
@@ -27,7 +27,7 @@ use std::io::Cursor;
 use std::path::{Path, PathBuf};
 use tiff::encoder::{Compression as TiffCompression, DeflateLevel, TiffEncoder, colortype};
 
-/// Writes all of it to the folder `to`.
+/// Writes the corpus to the folder `to`.
 pub fn write(to: &Path) {
     let give = |target: &str, name: &str, bytes: &[u8]| {
         let folder = to.join(target);
@@ -42,7 +42,7 @@ pub fn write(to: &Path) {
         &|name, bytes| give("photograph", name, bytes),
     );
     for i in 0..64u64 {
-        // As far from each other as can be: what they stand for is drawn from them.
+        // As different from each other as possible, because parameters are drawn from them.
         let drawn = |k: u64| (crate::hash(&(i * 1000 + k).to_le_bytes()) >> 32) as u8;
         let bytes: Vec<u8> = (0..64 + 6 * i).map(drawn).collect();
         give("gain_map", &format!("drawn-{i}"), &bytes);
@@ -50,13 +50,13 @@ pub fn write(to: &Path) {
     }
 }
 
-/// A picture of these sizes that is neither flat nor noise.
+/// A picture of this size that is neither uniform nor noise.
 fn picture(width: u32, height: u32, i: u32) -> RgbImage {
     let code = |x: u32, y: u32, c: u32| ((x * 13 + y * 29 + c * 50 + x * y) % 200 * (i + 1) / 3).min(255) as u8;
     RgbImage::from_fn(width, height, |x, y| Rgb([0, 1, 2].map(|c| code(x, y, c))))
 }
 
-/// An EXIF block as a Canon's: exposure, times, orientation, a maker's note with its place in a bracket.
+/// An EXIF block as in a Canon: exposure, times, orientation, a maker note with the position in a bracket.
 fn exif_block() -> Vec<u8> {
     let text = |text: &str| Value::Ascii(vec![text.as_bytes().to_vec()]);
     let ratio = |num, denom| Value::Rational(vec![Rational { num, denom }]);
@@ -230,7 +230,7 @@ fn radiance(give: &dyn Fn(&str, &[u8])) {
     }
 }
 
-/// `pixels` by the `exr` crate: of three kinds of numbers, under a prefix.
+/// Encodes `pixels` with the `exr` crate: three sample types, with a prefix.
 fn exr_file(path: &Path, pixels: &Plane<[f32; 3]>, compression: Compression, blocks: Blocks, prefix: &str) {
     let values = |c: usize| pixels.as_slice().iter().map(move |p| p[c]);
     let channels = [
@@ -261,7 +261,7 @@ fn responses(give: &dyn Fn(&str, &[u8])) {
     give("pfstools", &[&[2], table.repeat(3).as_bytes()].concat());
 }
 
-/// What a run and a plan leave behind.
+/// Files written by a run and a plan.
 fn line_and_plans(plans: &dyn Fn(&str, u8, &[u8]), photograph: &dyn Fn(&str, &[u8])) {
     let frames: Vec<PathBuf> = (0..3)
         .map(|i| {

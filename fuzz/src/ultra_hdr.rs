@@ -1,9 +1,9 @@
-//! A strict reader of JPEG files with a gain map: whatever it does not expect is a fault of the writer.
+//! A strict reader of JPEG files with a gain map: anything unexpected is an error of the writer.
 //!
-//! In: a file. Out: the sizes of its two pictures, or a panic. Source: as for `hdralign::write::jpeg`; the checks are those of
-//! `tests/cli/ultra_hdr.rs`.
+//! In: a file. Out: the sizes of its two pictures, or a panic. Source: see `hdralign::write::jpeg`; the checks are
+//! those of `tests/cli/ultra_hdr.rs`.
 
-/// Segments of a JPEG up to its scan: marker codes, places in the file, contents.
+/// Segments of a JPEG up to its scan: marker codes, offsets, contents.
 struct Image<'a> {
     segments: Vec<(u8, usize, &'a [u8])>,
     bytes: &'a [u8],
@@ -13,7 +13,7 @@ const XMP: &[u8] = b"http://ns.adobe.com/xap/1.0/\0";
 const ISO: &[u8] = b"urn:iso:std:iso:ts:21496:-1\0";
 
 impl<'a> Image<'a> {
-    /// The JPEG that `file` begins with.
+    /// Parses the JPEG at the start of `file`.
     fn parse(file: &'a [u8]) -> Self {
         assert_eq!(file[..2], [0xFF, 0xD8], "start of image");
         let (mut at, mut segments) = (2, Vec::new());
@@ -44,7 +44,7 @@ impl<'a> Image<'a> {
         Image { segments, bytes: &file[..at + 2] }
     }
 
-    /// The place and the content of the only segment `code` that begins with `name`, without it.
+    /// Returns offset and content of the only segment `code` that begins with `name`, without the name.
     fn find(&self, code: u8, name: &[u8]) -> Option<(usize, &'a [u8])> {
         let all: Vec<_> = self.segments.iter().filter(|s| s.0 == code && s.2.starts_with(name)).collect();
         assert!(all.len() < 2, "one {}", String::from_utf8_lossy(name));
@@ -61,7 +61,7 @@ impl<'a> Image<'a> {
     }
 }
 
-/// The value of the attribute `name`, which is there once.
+/// Returns the value of the attribute `name`, which must occur once.
 fn attribute<'a>(xml: &'a str, name: &str) -> &'a str {
     let parts: Vec<&str> = xml.split(&format!(" {name}=\"")).collect();
     assert_eq!(parts.len(), 2, "{name} in {xml}");
@@ -76,10 +76,10 @@ fn be32(bytes: &[u8]) -> usize {
     u32::from_be_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]) as usize
 }
 
-/// Holds `file` to what a JPEG without a gain map is, and gives its size.
+/// Checks that `file` is a JPEG without a gain map. Returns its size.
 ///
 /// # Panics
-/// Where it is none.
+/// If it is not.
 pub fn check_plain(file: &[u8]) -> (u32, u32) {
     let image = Image::parse(file);
     assert_eq!(image.bytes.len(), file.len());
@@ -87,10 +87,10 @@ pub fn check_plain(file: &[u8]) -> (u32, u32) {
     image.size()
 }
 
-/// Holds `file` to what a JPEG with a gain map is, and gives the sizes of the picture and of the map.
+/// Checks that `file` is a JPEG with a gain map. Returns the sizes of the picture and of the map.
 ///
 /// # Panics
-/// Where it is none.
+/// If it is not.
 pub fn check(file: &[u8]) -> [(u32, u32); 2] {
     let first = Image::parse(file);
     let second = Image::parse(&file[first.bytes.len()..]);
@@ -102,7 +102,7 @@ pub fn check(file: &[u8]) -> [(u32, u32); 2] {
     assert_eq!(number(xmp, "Item:Length") as usize, second.bytes.len());
     assert_eq!(xmp.matches("<Container:Item ").count(), 2);
 
-    // MPF: offsets count from the byte order mark, the first is 0.
+    // MPF: offsets are relative to the byte order mark; the first is 0.
     let (mark, mpf) = first.find(0xE2, b"MPF\0").expect("an index");
     assert_eq!(mpf[..10], *b"MM\0*\0\0\0\x08\0\x03");
     let entries = &mpf[be32(&mpf[42..])..];
@@ -110,7 +110,7 @@ pub fn check(file: &[u8]) -> [(u32, u32); 2] {
     assert_eq!((be32(&entries[16..]), be32(&entries[20..])), (0, second.bytes.len()));
     assert_eq!(mark + be32(&entries[24..]), first.bytes.len());
 
-    // ISO 21496-1: the same numbers as the XMP has.
+    // ISO 21496-1: the same parameters as in the XMP.
     assert_eq!(first.find(0xE2, ISO).expect("a version").1, [0; 4]);
     let iso = second.find(0xE2, ISO).expect("numbers").1;
     assert_eq!((&iso[..5], iso.len()), (&[0, 0, 0, 0, 0x40][..], 5 + 7 * 8));

@@ -1,4 +1,5 @@
-//! What photographers change of the picture: white, brightness, contrast, saturation, shadows and highlights, by every command and operator.
+//! Adjustments of the picture: white balance, brightness, contrast, saturation, shadows and highlights, with every
+//! command and operator.
 
 use crate::support::{Folder, Run, small_jpeg};
 use hdralign::bracket::colour::{Primaries, srgb_to_linear};
@@ -10,7 +11,7 @@ use serde_json::Value;
 
 const MERGE: &str = "merge w2.jpg w3.jpg w4.jpg --align none -q --force";
 
-/// The codes of a picture of 8 bits.
+/// Returns the codes of an 8-bit picture.
 fn codes(folder: &Folder, name: &str) -> Vec<[u8; 3]> {
     let picture = image::open(folder.at(name)).unwrap_or_else(|e| panic!("{name}: {e}")).into_rgb8();
     picture.pixels().map(|pixel| pixel.0).collect()
@@ -22,7 +23,7 @@ fn luminance([r, g, b]: [u8; 3]) -> f64 {
     0.2126 * light(r) + 0.7152 * light(g) + 0.0722 * light(b)
 }
 
-/// The mean of red less blue, of the mean code; and how far the three are apart.
+/// Mean of red minus blue, relative to the mean code; and the difference between the channels.
 fn tint(pixels: &[[u8; 3]]) -> (f64, f64) {
     let mean = |of: &dyn Fn(&[u8; 3]) -> f64| pixels.iter().map(of).sum::<f64>() / pixels.len() as f64;
     let code = |c: usize| mean(&|p| f64::from(p[c]));
@@ -30,7 +31,7 @@ fn tint(pixels: &[[u8; 3]]) -> (f64, f64) {
     (code(0) - code(2), apart)
 }
 
-/// Log odds of luminance, in stops, at a part of the pixels from the darkest on.
+/// Log odds of luminance, in stops, at a quantile of the pixels from the darkest on.
 fn at(pixels: &[[u8; 3]], part: f64) -> f64 {
     let mut all: Vec<f64> = pixels.iter().map(|&pixel| luminance(pixel)).collect();
     all.sort_by(f64::total_cmp);
@@ -43,7 +44,7 @@ fn refused(run: &Run, said: &[&str]) {
     assert!(said.iter().all(|part| run.stderr.contains(part)), "{}", run.stderr);
 }
 
-/// Codes are rounded, so that a log odds in the dark is good to a tenth of a stop.
+/// Codes are rounded, so log odds of dark pixels are accurate to a tenth of a stop.
 #[test]
 fn every_option_changes_the_picture_of_every_command_and_operator_alike() {
     let folder = Folder::with_bracket();
@@ -105,7 +106,7 @@ fn what_is_not_asked_for_changes_no_byte_and_radiance_never_changes() {
     }
 }
 
-/// The map takes the adjusted picture to the radiance: its decoded light is what it was.
+/// The gain map is relative to the adjusted picture: the decoded radiance does not change.
 #[test]
 fn gain_map_is_made_for_the_adjusted_picture() {
     let folder = Folder::with_bracket();
@@ -192,7 +193,7 @@ fn picture_of_no_lights_colour_keeps_its_white_with_a_warning() {
     assert!(codes(&folder, "a.png") == codes(&folder, "b.png"));
 }
 
-/// A spot is a pixel of what is written before it is made smaller: of a part, counted from its corner.
+/// A grey spot is a pixel of the picture before resizing; with a crop, counted from its corner.
 #[test]
 fn spot_is_counted_from_the_corner_of_the_part_that_is_kept() {
     let folder = Folder::with_bracket();

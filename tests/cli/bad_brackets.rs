@@ -1,4 +1,4 @@
-//! Invalid and degenerate brackets: the outcomes that `docs/reference/bad-input.md` states.
+//! Unusual and damaged brackets: the results stated in `docs/reference/bad-input.md`.
 
 use crate::support::{FRAMES, Folder, jpeg, jpeg_with, ratio, small};
 use exif::Tag;
@@ -18,7 +18,7 @@ mod sensors;
 mod sizes;
 mod sweep;
 
-/// Frame `i` of the small bracket, 300 x 200 pixels, opened once.
+/// Frame `i` of the small bracket, 300 x 200 pixels, decoded once.
 fn frame(i: usize) -> RgbImage {
     static FRAMES_SEEN: OnceLock<Vec<RgbImage>> = OnceLock::new();
     FRAMES_SEEN.get_or_init(|| (1..=FRAMES).map(small).collect())[i - 1].clone()
@@ -29,7 +29,7 @@ fn flat(colour: [u8; 3]) -> RgbImage {
     RgbImage::from_pixel(120, 80, Rgb(colour))
 }
 
-/// `picture` with the EXIF of frame `i`, as `f<n>.jpg`, for `n` from 1 on.
+/// Writes each picture with the EXIF of its frame `i`, as `f<n>.jpg`, for `n` from 1 on.
 fn exposed(folder: &Folder, pictures: &[(&RgbImage, usize)]) -> String {
     let name = |n: usize| format!("f{}.jpg", n + 1);
     for (n, (picture, i)) in pictures.iter().enumerate() {
@@ -38,7 +38,7 @@ fn exposed(folder: &Folder, pictures: &[(&RgbImage, usize)]) -> String {
     (0..pictures.len()).map(name).collect::<Vec<_>>().join(" ")
 }
 
-/// The pixels as they are, without EXIF, as `f<n>.png`.
+/// Writes the pixels losslessly, without EXIF, as `f<n>.png`.
 fn lossless(folder: &Folder, pictures: &[&RgbImage]) -> String {
     let name = |n: usize| format!("f{}.png", n + 1);
     for (n, picture) in pictures.iter().enumerate() {
@@ -54,12 +54,12 @@ fn png(picture: &RgbImage) -> Vec<u8> {
     bytes.into_inner()
 }
 
-/// A JPEG whose EXIF has this exposure time, in s, and that the flash did not fire.
+/// A JPEG with this exposure time in its EXIF, in s, and without flash.
 fn timed(picture: &RgbImage, num: u32, denom: u32) -> Vec<u8> {
     shot(picture, (num, denom), false)
 }
 
-/// `picture` as a JPEG whose EXIF has the time, and whether the flash fired.
+/// `picture` as a JPEG with this time in its EXIF, and with or without flash.
 fn shot(picture: &RgbImage, (num, denom): (u32, u32), flash: bool) -> Vec<u8> {
     // 0x19: fired, in automatic mode; 0x18: did not fire.
     let flash = exif::Value::Short(vec![0x18 + u16::from(flash)]);
@@ -91,7 +91,7 @@ fn elsewhere(i: usize) -> RgbImage {
     })
 }
 
-/// Numbers of 0..1 that are the same on every machine (Knuth's congruential generator).
+/// Random numbers in 0..1 that are the same on every machine (Knuth's congruential generator).
 struct Random(u64);
 
 impl Random {
@@ -100,7 +100,7 @@ impl Random {
         (self.0 >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// `picture` with noise evenly from -`most` to `most` codes in each sample.
+    /// `picture` with uniform noise from -`most` to `most` codes in each sample.
     fn noisy(&mut self, picture: &RgbImage, most: f64) -> RgbImage {
         let mut noisy = picture.clone();
         for sample in noisy.iter_mut() {
@@ -110,21 +110,22 @@ impl Random {
     }
 }
 
-/// `picture` with every code times `factor`.
+/// `picture` with every code multiplied by `factor`.
 fn times(picture: &RgbImage, factor: f64) -> RgbImage {
     let mut scaled = picture.clone();
     scaled.iter_mut().for_each(|v| *v = (f64::from(*v) * factor).round().min(255.0) as u8);
     scaled
 }
 
-/// What a merge left, looked through.
+/// The results of a merge.
 struct Merged {
     report: Value,
     radiance: Vec<[f32; 3]>,
     picture: RgbImage,
 }
 
-/// `merge NAMES OPTIONS`, which must succeed; radiance must be finite and not negative, files and report one size, and the warnings told.
+/// Runs `merge NAMES OPTIONS`, which must succeed. Checks that radiance is finite and not negative, that files and
+/// report have the same size, and that the warnings are printed.
 fn merged(folder: &Folder, line: &str) -> Merged {
     let run = folder.line(&format!("merge {line} -o a.exr -o a.png --report r.json --force")).done();
     let report: Value = serde_json::from_slice(&folder.bytes("r.json")).expect("JSON");
@@ -166,7 +167,7 @@ impl Merged {
             .collect()
     }
 
-    /// Whether one warning has all of these parts, and counts as `degrades`.
+    /// Whether one warning contains all of these parts, and counts as `degrades`.
     fn warns(&self, degrades: bool, parts: &[&str]) -> bool {
         self.report["warnings"].as_array().expect("a list").iter().any(|w| {
             let message = w["message"].as_str().expect("a text");
@@ -174,7 +175,7 @@ impl Merged {
         })
     }
 
-    /// Where the corners of the reference lie in `file`, in pixels.
+    /// Positions of the corners of the reference in `file`, in pixels.
     fn corners(&self, file: &str) -> [[f64; 2]; 4] {
         let h = &self.frame(file)["alignment"]["homography"];
         let n = |i: usize| h[i].as_f64().expect("a number");
@@ -185,14 +186,14 @@ impl Merged {
     }
 }
 
-/// How far apart the places are that two runs found for `file`: the largest distance of a corner, in pixels.
+/// Distance between the transforms that two runs found for `file`: the largest of a corner, in pixels.
 fn apart(a: &Merged, b: &Merged, file: &str) -> f64 {
     let (a, b) = (a.corners(file), b.corners(file));
     let distance = |i: usize| ((a[i][0] - b[i][0]).powi(2) + (a[i][1] - b[i][1]).powi(2)).sqrt();
     (0..4).map(distance).fold(0.0, f64::max)
 }
 
-/// A merge that is refused: exit code 1, one error with these parts, nothing on stdout, nothing written.
+/// Checks that a merge fails: exit code 1, one error with these parts, nothing on stdout, no files.
 fn refused(folder: &Folder, line: &str, said: &[&str]) {
     let before = folder.listing();
     let run = folder.line(&format!("merge {line} -o a.exr -o a.png"));
@@ -203,7 +204,7 @@ fn refused(folder: &Folder, line: &str, said: &[&str]) {
     }
 }
 
-/// The exit code of the same with `--strict`.
+/// The exit code of the same merge with `--strict`.
 fn strict(folder: &Folder, line: &str) -> i32 {
     folder.line(&format!("merge {line} -o strict.exr --strict --force")).code
 }

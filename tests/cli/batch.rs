@@ -1,4 +1,4 @@
-//! `hdralign batch`: what is found, done once, kept, told.
+//! `hdralign batch`: finding, merging, keeping and reporting.
 
 mod again;
 mod plan;
@@ -9,7 +9,7 @@ use super::support::{Folder, Run};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
-/// A card of `brackets` small brackets in `in`, in two folders.
+/// A card with `brackets` small brackets in `in`, in two folders.
 fn card(folder: &Folder, brackets: usize) -> Vec<Vec<PathBuf>> {
     let mut card = Card::new(150);
     for k in 0..brackets {
@@ -19,7 +19,7 @@ fn card(folder: &Folder, brackets: usize) -> Vec<Vec<PathBuf>> {
     card.write(&folder.at("in"))
 }
 
-/// The files below `out`, by name, that are no reports.
+/// The files in `out` by name, without reports.
 fn results(folder: &Folder) -> Vec<(PathBuf, Vec<u8>)> {
     fn gather(folder: &Path, all: &mut Vec<(PathBuf, Vec<u8>)>) {
         for entry in std::fs::read_dir(folder).expect("a folder") {
@@ -60,7 +60,7 @@ fn a_card_is_merged_as_it_is() {
     assert_eq!(counts(&folder), [3, 0, 0, 0]);
     assert!(run.stderr.contains("3 done of 3") && run.stderr.contains("[3/3]"), "{}", run.stderr);
 
-    // The same bytes as one by one, and a report that has what `merge` reports.
+    // The same bytes as separate merges, and a report with the contents of that of `merge`.
     let inputs: Vec<&str> = paths[1].iter().map(|p| p.to_str().unwrap()).collect();
     folder.run([&["merge", "-o", "one.exr", "-o", "one.png", "--report", "one.json"], &inputs[..]].concat()).done();
     assert!(folder.bytes("one.exr") == folder.bytes("out/a/IMG_0004-IMG_0006.exr"));

@@ -34,7 +34,7 @@ fn text(path: &Path) -> String {
     fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 
-/// The commands of a page, each with its number of line and the exit code expected.
+/// Returns the commands of a page, each with its line number and the expected exit code.
 fn commands(text: &str) -> Vec<(usize, String, i32)> {
     let mut found = Vec::new();
     let mut is_shell = false;
@@ -57,7 +57,7 @@ fn commands(text: &str) -> Vec<(usize, String, i32)> {
     found
 }
 
-/// Runs the commands of `page`; the number of them.
+/// Runs the commands of `page`. Returns their number.
 #[cfg(unix)]
 fn run(page: &Path) -> usize {
     let commands = commands(&text(page));
@@ -102,7 +102,7 @@ fn commands_are_found_with_their_exit_codes_and_continued_lines() {
     assert_eq!(commands(text), [(2, "hdralign a   b".into(), 0), (5, "hdralign c # exits with 3: d".into(), 3)]);
 }
 
-/// The anchor that renderers of Markdown give to a heading.
+/// Returns the anchor that Markdown renderers give to a heading.
 fn anchor(heading: &str) -> String {
     let kept = heading.trim().to_lowercase();
     let kept = kept.chars().filter(|c| c.is_alphanumeric() || matches!(c, ' ' | '-' | '_'));

@@ -1,4 +1,5 @@
-//! The card dumps of `tests/support/card.rs` are what they say: readable by other readers, and good brackets to the program.
+//! The simulated cards of `tests/support/card.rs` are correct: other readers read them, and the program finds good
+//! brackets.
 
 use super::support::Folder;
 use super::support::card::{Camera, Card};
@@ -40,12 +41,12 @@ fn a_card_carries_what_a_camera_writes() {
     // 32 ms and 8 ms of exposure, 180 ms after each.
     assert_eq!(all(Tag::SubSecTimeOriginal)[..3], texts(["00", "21", "40", ""])[..3]);
     assert_eq!(all(Tag::SubSecTimeOriginal)[3], None);
-    // 125 ms, 180 ms, the pause of 8 s and the 10 s that were asked for.
+    // 125 ms, 180 ms, the pause of 8 s, and the 10 s that were requested.
     assert_eq!(all(Tag::DateTimeOriginal)[3].as_deref(), Some("2026:09:19 17:42:18"));
 }
 
-/// The thumbnail, which is a JPEG inside the EXIF, is not mistaken for the photograph, and the exposures come from the EXIF. With steps
-/// of two stops the printed times 1/125, 1/30 and 1/8 s are read as exact steps.
+/// The thumbnail in the EXIF is not mistaken for the photograph, and the exposures are from the EXIF. With steps of
+/// two stops the recorded times 1/125, 1/30 and 1/8 s are read as exact steps.
 #[test]
 fn a_cards_brackets_merge_and_no_two_are_alike() {
     let folder = Folder::empty();

@@ -1,4 +1,4 @@
-//! A run of the program that goes on while the test looks, and is sent signals.
+//! A running process of the program, which the test observes and to which it sends signals.
 
 #![cfg(unix)]
 
@@ -8,7 +8,7 @@ use std::process::{Child, Command, Stdio};
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Once};
 
-/// Begins `line` in `folder`.
+/// Starts `line` in `folder`.
 pub fn begin(folder: &Folder, line: &str) -> Child {
     handle_signals();
     let mut command = Command::new(program());
@@ -16,13 +16,13 @@ pub fn begin(folder: &Folder, line: &str) -> Child {
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("the program starts")
 }
 
-/// Gives INT and HUP handlers, so that processes started from here do not ignore them. They would inherit that where the tests run in the
-/// background of a script, which ignores INT, or by `nohup`.
+/// Installs handlers for INT and HUP, so that child processes do not ignore these signals. They would inherit that if
+/// the tests run in the background of a script, which ignores INT, or with `nohup`.
 fn handle_signals() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
         for signal in [SIGHUP, SIGINT] {
-            // The tests end as they would.
+            // The tests end as usual.
             let always = Arc::new(AtomicBool::new(true));
             signal_hook::flag::register_conditional_shutdown(signal, 128 + signal, always).expect("a handler");
         }

@@ -1,4 +1,5 @@
-//! Colour spaces of what is read: the chunks of PNG, the curves of profiles, primaries that a format cannot say. Through the binary and the files.
+//! Colour spaces of inputs: PNG chunks, profile curves, and primaries that a format does not support. Through the
+//! program and its files.
 
 use crate::support::{Folder, Run, small};
 use hdralign::bracket::colour::{Conversion, Curve, Primaries, Profile, Transfer, linear_to_srgb, srgb_to_linear};
@@ -16,7 +17,7 @@ fn json(run: &Run) -> Value {
     serde_json::from_str(&run.stdout).unwrap_or_else(|e| panic!("{e}: {run:?}"))
 }
 
-/// The name and the content of a part of a PNG.
+/// Name and content of a PNG chunk.
 type Chunk = (&'static [u8; 4], Vec<u8>);
 
 /// The CRC of PNG, section D.
@@ -25,7 +26,7 @@ fn crc(bytes: &[u8]) -> u32 {
     !bytes.iter().fold(u32::MAX, |crc, &b| (0..8).fold(crc ^ u32::from(b), step))
 }
 
-/// `picture` as a PNG with these chunks behind its header.
+/// `picture` as a PNG with these chunks after its header.
 fn png(picture: &RgbImage, chunks: &[Chunk]) -> Vec<u8> {
     let mut bytes = std::io::Cursor::new(Vec::new());
     picture.write_to(&mut bytes, image::ImageFormat::Png).expect("a PNG");
@@ -95,11 +96,12 @@ fn png_of_linear_codes_equals_itself_in_srgb() {
     folder.put("linear.png", &png(&linear, &[(b"gAMA", gama(1.0))]));
     folder.put("srgb.png", &png(&again, &[]));
     let run = folder.line("compare srgb.png linear.png --tolerance-de 2 --json");
-    // Codes are rounded twice, in dark places to half of what can be seen; taken for sRGB, linear ones are off by 30.
+    // Codes are rounded twice; in dark parts the difference is half of what is visible. Linear codes read as sRGB
+    // would differ by 30.
     assert!(run.code == 0, "{}", json(&run)["reason"]);
 }
 
-/// A bracket of ProPhoto TIFFs, as a raw converter makes them, is fused to the picture that the same bracket in sRGB gives.
+/// A bracket of ProPhoto TIFFs from a raw converter gives the same fused picture as the bracket in sRGB.
 #[test]
 fn fusion_decodes_by_the_curve_of_the_profile() {
     let folder = Folder::empty();
@@ -130,7 +132,8 @@ fn fusion_decodes_by_the_curve_of_the_profile() {
     };
     let (expected, found) = (fused("s2.png s3.png s4.png"), fused("w2.tif w3.tif w4.tif"));
     let off: u64 = expected.iter().zip(&found).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
-    // Codes of 16 bit and of 8 are the same to within rounding, which clipped codes are not: some are beyond 1 by rounding.
+    // Codes of 16 and 8 bits are equal except for rounding; clipped codes are not, because some are above 1 by
+    // rounding.
     let mean = off as f64 / expected.len() as f64;
     assert!(mean < 1.0, "{mean}");
 }
@@ -165,7 +168,7 @@ fn primaries_with_a_negative_chromaticity_come_back_from_every_format() {
         let (map, _) = read(&folder.at(name)).expect("radiance");
         assert!(map.primaries.is_close(&Primaries::ACES_AP0, tolerance), "{name}: {:?}", map.primaries);
     }
-    // A mantissa of RGBE is cut by up to 1/128 of the largest component, here twice the least.
+    // A mantissa of RGBE is truncated by up to 1/128 of the largest component, here twice the smallest.
     for (name, stops) in [("a.tif", 0.002), ("b.exr", 0.0001), ("a.hdr", 0.1)] {
         let run = folder.line(&format!("compare srgb.exr {name} --tolerance-stops {stops} --json"));
         assert_eq!(run.code, 0, "{name}: {}", json(&run)["reason"]);

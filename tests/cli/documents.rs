@@ -1,4 +1,5 @@
-//! The documents and the help, held to the program: commands that they quote, options and values, files and tests that they name.
+//! The documents and the help compared with the program: quoted commands, options and values, and names of files and
+//! tests.
 
 use crate::book::pages;
 use crate::shell::COMMANDS;
@@ -12,7 +13,7 @@ fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// The documents, with their names below the root.
+/// The documents, with their relative paths.
 fn documents() -> Vec<(String, String)> {
     let others = ["README.md", "testdata/window/README.md", "workflow/Snakefile", "workflow/parallel.sh"];
     let paths: BTreeSet<PathBuf> =
@@ -24,7 +25,7 @@ fn documents() -> Vec<(String, String)> {
     paths.into_iter().map(read).collect()
 }
 
-/// What `hdralign COMMAND --help` prints, for each command.
+/// The output of `hdralign COMMAND --help` for each command.
 fn helps(folder: &Folder) -> Vec<(String, String)> {
     let help = |command| (format!("{command} --help"), folder.run([command, "--help"]).done().stdout);
     COMMANDS.into_iter().map(help).collect()
@@ -35,14 +36,14 @@ fn spans(line: &str) -> impl Iterator<Item = &str> {
     line.split('`').skip(1).step_by(2)
 }
 
-/// The command on `line` of a document or of the help, without what follows it and where its output goes; none where the line has none.
+/// Returns the command on `line` of a document or of the help, without redirections; `None` if there is none.
 fn command(line: &str) -> Option<&str> {
     let line = line.trim_start_matches(['#', ' ']).strip_prefix("hdralign ")?;
     let end = ["   ", " #", " >", " |", " \\"].iter().filter_map(|mark| line.find(mark)).min();
     Some(&line[..end.unwrap_or(line.len())])
 }
 
-/// Lines that stand for themselves: within fences, or further in than the text.
+/// Lines in code blocks: within fences, or indented.
 fn set_apart(text: &str) -> Vec<&str> {
     let mut is_fenced = false;
     let mut lines = Vec::new();
@@ -56,7 +57,7 @@ fn set_apart(text: &str) -> Vec<&str> {
     lines
 }
 
-/// Files are missing; what is not understood is told otherwise, by the parser.
+/// Files do not exist, but the parser must accept the command.
 #[test]
 fn quoted_command_is_understood() {
     let folder = Folder::empty();
@@ -65,7 +66,7 @@ fn quoted_command_is_understood() {
     for (name, text) in texts {
         for line in set_apart(&text) {
             let Some(command) = command(line) else { continue };
-            // Whatever is at these places on this machine is not meant.
+            // Absolute paths would refer to this machine.
             let run = folder.run(command.split_whitespace().map(|word| word.trim_start_matches('/')));
             assert!(!run.stderr.starts_with("error:"), "{name}: hdralign {command}\n{}", run.stderr);
             count += 1;
@@ -74,7 +75,7 @@ fn quoted_command_is_understood() {
     assert!(count > 60, "only {count} commands were found");
 }
 
-/// The help by its options: of each, the line that names it and what is said of it.
+/// Splits the help into its options: the line with the name and the description of each.
 fn by_option(help: &str) -> Vec<String> {
     let mut parts = vec![String::new()];
     for line in help.lines() {
@@ -87,7 +88,7 @@ fn by_option(help: &str) -> Vec<String> {
     parts.split_off(1)
 }
 
-/// Whether this part of the help is on `option`.
+/// Whether this part of the help describes `option`.
 fn is_on(part: &str, option: &str) -> bool {
     part.lines().next().is_some_and(|head| head.split([' ', ',', '[']).any(|word| word == option))
 }
@@ -127,7 +128,7 @@ fn named_option_exists_and_takes_the_values_named() {
     assert!(count > 120 && values > 30, "only {count} options and {values} values were found");
 }
 
-/// The sources of the tests, with their names below the root.
+/// The sources of the tests, with their relative paths.
 fn tests_of(folder: &Path, found: &mut Vec<(String, String)>) {
     for path in fs::read_dir(folder).expect("a folder of tests").map(|entry| entry.expect("an entry").path()) {
         if path.is_dir() {

@@ -1,4 +1,4 @@
-//! What moved, and the veil of flare, as the command line has them.
+//! Deghosting and flare, through the program.
 
 use crate::support::{Folder, jpeg, small};
 use image::Rgb;
@@ -18,7 +18,7 @@ fn what_one_frame_shows_is_left_out_and_the_mask_says_where() {
     let mask = image::open(folder.at("m.png")).expect("a picture");
     assert_eq!((mask.color(), mask.width(), mask.height()), (image::ColorType::L8, 300, 200));
     let mask = mask.to_luma8();
-    // One of two others is left out: half of 255.
+    // One of two other frames is rejected: half of 255.
     assert!(mask.get_pixel(150, 100)[0] >= 127, "{}", mask.get_pixel(150, 100)[0]);
     let mut all: Vec<u8> = mask.pixels().map(|p| p[0]).collect();
     all.sort_unstable();
@@ -65,7 +65,7 @@ fn what_makes_no_sense_is_refused_before_any_work() {
     }
 }
 
-/// The square's mean code in `picture`.
+/// Mean code of the square in `picture`.
 fn square(folder: &Folder, picture: &str) -> f64 {
     let picture = image::open(folder.at(picture)).expect("a picture").to_luma8();
     let pixels = (135..165).flat_map(|x| (85..115).map(move |y| (x, y)));
@@ -89,7 +89,7 @@ fn what_one_frame_shows_is_in_no_picture_of_any_operator_unless_asked_for() {
         let clean = line("w4", "");
         folder.put("p4.jpg", &jpeg(&painted, Some(4)));
         let (found, ghostly) = (line("p4", ""), line("p4", "--deghost=off"));
-        // Two of three frames show what is there as well as all three do.
+        // Two of three frames show the static scene as well as all three.
         assert!((found - clean).abs() < 0.25 * (ghostly - clean).abs(), "{operator}: {found} {ghostly} for {clean}");
         assert!((found - clean).abs() < 6.0, "{operator}: {found} for {clean}");
     }

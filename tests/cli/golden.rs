@@ -1,22 +1,22 @@
-//! Goldens: every folder of `tests/golden/` is a case. Its `arguments` say how much smaller the bracket is made and what the program
-//! is told; every other file in it is a result, to the byte.
+//! Golden files: every folder in `tests/golden/` is a case. Its `arguments` contain the reduction factor of the
+//! bracket and the options of the program; every other file is a result that must have exactly the same bytes.
 //!
-//! `HDRALIGN_BLESS=1 cargo test --test cli golden` writes them anew: look at what has changed before committing it. Where a result
-//! differs, `target/golden/` gets expected, difference and actual side by side. A new case is a folder with its `arguments` and
-//! empty files of the names wanted.
+//! `HDRALIGN_BLESS=1 cargo test --test cli golden` writes them again: check what has changed before committing it. If
+//! a result differs, expected, difference and actual are written side by side to `target/golden/`. A new case is a
+//! folder with its `arguments` and empty files with the names of the results.
 
 use crate::support::{FRAMES, Folder, shrink, window};
 use image::{Rgb, RgbImage};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// What all goldens together may weigh, in bytes.
+/// Largest size of all golden files together, in bytes.
 const MOST_BYTES: usize = 400_000;
 
 struct Case {
     name: String,
     folder: PathBuf,
-    /// Pixels of the bracket for one of the case's, along each side.
+    /// Pixels of the bracket per pixel of the case, along each side.
     side: u32,
     arguments: Vec<String>,
     /// The files that are compared.
@@ -69,7 +69,7 @@ fn made(case: &Case) -> Vec<Vec<u8>> {
     case.results.iter().map(|name| folder.bytes(name)).collect()
 }
 
-/// Something to look at: a picture, or radiance with its mean at a fifth of white.
+/// A picture for display, or radiance with its mean at a fifth of white.
 fn visible(bytes: &[u8], name: &str) -> Option<RgbImage> {
     if name.ends_with(".png") {
         return Some(image::load_from_memory(bytes).ok()?.to_rgb8());
@@ -84,7 +84,7 @@ fn visible(bytes: &[u8], name: &str) -> Option<RgbImage> {
     }))
 }
 
-/// Expected, difference (16 times, about grey) and actual in one picture.
+/// Expected, difference (16 times, around grey) and actual in one picture.
 fn side_by_side(expected: &RgbImage, actual: &RgbImage) -> RgbImage {
     let (w, h) = (expected.width().max(actual.width()), expected.height().max(actual.height()));
     let at = |p: &RgbImage, x, y| p.get_pixel_checked(x, y).copied().unwrap_or(Rgb([255, 0, 255]));
@@ -100,7 +100,7 @@ fn side_by_side(expected: &RgbImage, actual: &RgbImage) -> RgbImage {
     })
 }
 
-/// Shows what differs, and says where.
+/// Writes a picture of the differences. Returns a message with its path.
 fn show(case: &Case, name: &str, expected: &[u8], actual: &[u8]) -> String {
     let folder = package().join("target/golden");
     fs::create_dir_all(&folder).expect("target/golden");

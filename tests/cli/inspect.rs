@@ -1,4 +1,4 @@
-//! `inspect`: a folder of tables and drawings, whole or not there at all.
+//! `inspect`: a folder of tables and drawings, complete or not created.
 
 use crate::support::{Folder, small_jpeg};
 use serde_json::Value;
@@ -18,7 +18,7 @@ const KINDS: [&str; 10] = [
     "edges.png",
 ];
 
-/// Names in `folder/name`, hidden ones too.
+/// Names in `folder/name`, including hidden ones.
 fn names(folder: &Folder, name: &str) -> BTreeSet<String> {
     let entries = fs::read_dir(folder.at(name)).unwrap_or_else(|e| panic!("{name}: {e}"));
     entries.map(|e| e.expect("an entry").file_name().to_string_lossy().into_owned()).collect()
@@ -42,7 +42,7 @@ fn everything_listed_is_there_and_whole_and_nothing_else_is() {
             assert_eq!((picture.width(), picture.height()), (300, 200), "{name}");
             assert!(picture.to_luma8().pixels().all(|p| p[0] == 0 || p[0] == 255), "{name}");
         } else {
-            // As large as the SVG beside it says.
+            // In the size stated by the SVG.
             let svg = String::from_utf8(folder.bytes(&format!("look/{}", name.replace(".png", ".svg")))).expect("text");
             let size = format!("width=\"{}\" height=\"{}\"", picture.width(), picture.height());
             assert!(svg.contains(&size) && svg.ends_with("</svg>\n"), "{name}");
@@ -120,7 +120,7 @@ fn what_cannot_be_done_leaves_nothing_behind() {
         ("inspect w2.jpg other/w2.png -d look", 2, "rename one"),
         ("inspect w2.jpg", 2, "at least two"),
         ("inspect w2.jpg w3.jpg --max-rotation 90", 2, "--max-rotation"),
-        // Options of the other commands that would do nothing here.
+        // Options of other commands, which would have no effect here.
         ("inspect w2.jpg w3.jpg --crop none", 2, "--crop"),
         ("inspect w2.jpg w3.jpg --report r.json", 2, "--report"),
     ];

@@ -1,8 +1,9 @@
-//! A run is killed at a random moment, again and again, by what nothing can hear: what has its final name is whole, and what else is left are
-//! temporary files, which the next run takes away.
+//! Runs are killed at random moments by SIGKILL: every file with its final name is complete, and all others are
+//! temporary files, which the next run removes.
 //!
-//! `HDRALIGN_KILLS` says how many kills come in time, 12 by default; `HDRALIGN_SEED` when; `HDRALIGN_BIN` which program. One kill in three is of each: a `merge` of
-//! new files, a `merge --force` over older ones, a `batch` that goes on from kill to kill.
+//! `HDRALIGN_KILLS` is the number of kills, 12 by default; `HDRALIGN_SEED` their seed; `HDRALIGN_BIN` the program. A
+//! third of the kills are during a `merge` of new files, a third during a `merge --force` over older ones, and a
+//! third during a `batch` that is continued after each kill.
 
 #![cfg(unix)]
 
@@ -24,7 +25,7 @@ const BATCH: &str = "batch in -d out -q --formats exr,png";
 struct Random(u64);
 
 impl Random {
-    /// 0 to 1.
+    /// Returns a number from 0 to 1.
     fn next(&mut self) -> f64 {
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mut z = self.0;
@@ -38,7 +39,7 @@ fn number(variable: &str) -> Option<u64> {
     std::env::var(variable).ok().and_then(|text| text.parse().ok())
 }
 
-/// All files below `folder`, with what they hold.
+/// All files in `folder`, with their contents.
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut all = BTreeMap::new();
     let mut folders = vec![folder.to_owned()];
@@ -60,7 +61,7 @@ fn is_unnamed(path: &Path) -> bool {
     name.starts_with(".hdralign-") && (name.ends_with(".part") || name.ends_with(".lock"))
 }
 
-/// Whether the process has begun a file in `folder`: one with a temporary name, or on Linux one without any.
+/// Whether the process has started a file in `folder`: one with a temporary name, or on Linux one without a name.
 fn is_writing(process: u32, folder: &Path) -> bool {
     let names = fs::read_dir(folder).into_iter().flatten().flatten();
     let open = fs::read_dir(format!("/proc/{process}/fd")).into_iter().flatten().flatten();
@@ -69,23 +70,24 @@ fn is_writing(process: u32, folder: &Path) -> bool {
         || open.filter_map(|entry| fs::read_link(entry.path()).ok()).any(is_anonymous)
 }
 
-/// Runs `line` to its end, and gives how long that took.
+/// Runs `line` to its end. Returns the time that it took.
 fn run(folder: &Folder, line: &str) -> Duration {
     let began = Instant::now();
     folder.line(line).done();
     began.elapsed()
 }
 
-/// When a run is killed.
+/// The moment of a kill.
 enum When {
-    /// So long after its begin.
+    /// This long after the start.
     After(Duration),
-    /// So long after the first temporary file is seen in this folder: while it writes, or gives names.
+    /// This long after the first temporary file appears in this folder: while it writes or renames files.
     Writing(PathBuf, Duration),
 }
 
 impl When {
-    /// A moment of a run that takes `whole` and writes to `folder`: any, or, every other time, one in the fifth of it that follows the first file.
+    /// Returns a moment of a run that takes `whole` and writes to `folder`: any moment or, every second time, one in
+    /// the fifth of it after the first file.
     fn of(random: &mut Random, whole: Duration, folder: &Path) -> When {
         let (is_any, part) = (random.next() < 0.5, random.next());
         if is_any {
@@ -96,7 +98,7 @@ impl When {
     }
 }
 
-/// Begins `line` by the command `before`, and kills it; whether it was still going on.
+/// Starts `line` with the command `before`, and kills it. Returns whether it was still running.
 fn kill(folder: &Folder, line: &str, before: &[String], when: When) -> bool {
     let program = program().to_string_lossy().into_owned();
     let words: Vec<&str> = before.iter().chain([&program]).map(String::as_str).chain(line.split_whitespace()).collect();
@@ -116,20 +118,21 @@ fn kill(folder: &Folder, line: &str, before: &[String], when: When) -> bool {
     !child.wait().expect("its end").success()
 }
 
-/// What was counted.
+/// Counts for the report.
 #[derive(Debug, Default)]
 struct Tally {
     kills: usize,
-    /// Kills that came before the run had ended.
+    /// Kills before the end of the run.
     in_time: usize,
-    /// Files under their final names that were looked at.
+    /// Files with their final names that were checked.
     named: usize,
-    /// Temporary files that were left, and that the next run took away.
+    /// Temporary files that were left, and removed by the next run.
     unnamed: usize,
 }
 
 impl Tally {
-    /// Every file in `folder` that has its name is as one of `whole` has it, or, a report, is JSON or a table; all others are temporary.
+    /// Checks that every file in `folder` with its final name is equal to one in `whole` or, for reports, is valid
+    /// JSON or a table; all others must be temporary files.
     fn check(&mut self, folder: &Path, whole: &[&BTreeMap<PathBuf, Vec<u8>>]) {
         for (path, bytes) in files(folder) {
             if is_unnamed(&path) {
@@ -137,7 +140,7 @@ impl Tally {
                 continue;
             }
             self.named += 1;
-            // Reports and summaries have times in them.
+            // Reports and summaries contain times.
             let is_whole = match path.extension().and_then(|e| e.to_str()) {
                 Some("json") => serde_json::from_slice::<serde_json::Value>(&bytes).is_ok(),
                 Some("csv") if path.ends_with("batch.csv") => bytes.ends_with(b"\n"),
@@ -148,7 +151,7 @@ impl Tally {
     }
 }
 
-/// Whether nothing temporary is left in `folder`, and all results are those of `whole`.
+/// Whether there are no temporary files in `folder`, and all results are those of `whole`.
 fn is_complete(folder: &Path, whole: &BTreeMap<PathBuf, Vec<u8>>) -> bool {
     let is_result = |path: &Path| path.extension().is_some_and(|e| e != "json" && !path.ends_with("batch.csv"));
     let there: BTreeMap<_, _> = files(folder).into_iter().filter(|(path, _)| is_result(path)).collect();
@@ -179,14 +182,14 @@ fn no_kill_damages_what_has_a_name_or_leaves_what_the_next_run_does_not_clear() 
     let mut random = Random(number("HDRALIGN_SEED").unwrap_or(1));
     let mut tally = Tally::default();
     let wanted = number("HDRALIGN_KILLS").unwrap_or(12) as usize;
-    // One that came too late, as where the machine is less busy than it was, is tried again.
+    // A kill that came too late, because the machine is less busy than before, is repeated.
     for i in 0.. {
         if tally.in_time >= wanted {
             break;
         }
         assert!(tally.kills < 4 * wanted, "too few came in time: {tally:?}");
         tally.kills += 1;
-        // Every other time where the system has no anonymous files.
+        // Every second time as on a system without anonymous files.
         let before = if i % 2 == 1 { &without[..] } else { &[] };
         let mut when = |whole: Duration, folder: &Path| When::of(&mut random, whole, folder);
         match i % 3 {
@@ -212,7 +215,7 @@ fn no_kill_damages_what_has_a_name_or_leaves_what_the_next_run_does_not_clear() 
                 }
                 tally.in_time += usize::from(kill(&folder, BATCH, before, when(batching, &out)));
                 tally.check(&out, &[&night]);
-                // Every other time it is killed in what it takes up again.
+                // Every second time it is killed while it continues previous work.
                 if i % 2 == 1 {
                     tally.in_time += usize::from(kill(&folder, BATCH, before, when(batching, &out)));
                     tally.kills += 1;
@@ -226,20 +229,20 @@ fn no_kill_damages_what_has_a_name_or_leaves_what_the_next_run_does_not_clear() 
     println!("{tally:?}");
 }
 
-/// A run that is killed while it writes, which is seen by its temporary files; the system has no anonymous ones.
+/// A run that is killed while it writes, as its temporary files show; on a system without anonymous files.
 #[test]
 #[ignore = "filters system calls; .ci/run runs it where the system allows that"]
 fn what_a_killed_process_left_is_swept_but_not_what_a_living_one_writes() {
     let [python, script, lacks] = without("anonymous").expect("a filter of system calls");
     let folder = Folder::with_bracket();
-    // They have the names of temporary files, and are the user's.
+    // Files of the user with names of temporary files.
     folder.put(".hdralign-notes.part", b"mine");
     folder.put(".hdralign-aaaaaaaaaaaa-0.part", b"mine");
     let unnamed = || files(folder.path()).keys().filter(|path| is_unnamed(path)).count();
     let users = unnamed();
     let inputs = folder.listing();
     let mut was_killed = false;
-    // A run that is quicker than the look at its folder is done again.
+    // If the run ended before it was observed, it is repeated.
     for _ in 0..10 {
         let mut run = Command::new(&python)
             .args([script.as_str(), lacks.as_str()])
@@ -251,7 +254,7 @@ fn what_a_killed_process_left_is_swept_but_not_what_a_living_one_writes() {
             .spawn()
             .expect("the program starts");
         while unnamed() == users && run.try_wait().expect("its state").is_none() {}
-        // Between a file's first moment and its lock, on a machine that has other things to do.
+        // Between the creation and the lock of a file, on a busy machine.
         std::thread::sleep(Duration::from_millis(10));
         assert_eq!(write::sweep(folder.path()), 0, "it lives");
         run.kill().expect("an end");

@@ -1,7 +1,9 @@
-//! Limits: files that ask for more than they hold, than is allowed, or than there is are refused by their headers, in little memory and time.
+//! Limits: files that claim more than they contain, than is allowed, or than there is memory for are rejected by
+//! their headers, with little memory and time.
 //!
-//! Every bomb is built here. Each run has [`ADDRESSES`] of address space (`ulimit -v`), of which the program's code, threads and their stacks
-//! take most: whoever makes room for what a bomb says, gets none, and would be ended by a signal.
+//! Every such file is built here. Each run has [`ADDRESSES`] of address space (`ulimit -v`), most of which is used by
+//! the program's code, threads and stacks: an attempt to allocate the claimed size fails, and would end the process
+//! by a signal.
 
 use crate::support::card::Card;
 use crate::support::{Folder, Run, jpeg, small, small_jpeg};
@@ -19,14 +21,14 @@ use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
-/// Of addresses, in kB: under a gigabyte, where every bomb asks for more.
+/// Address space in kB: less than a gigabyte, while every file claims more.
 const ADDRESSES: u32 = 900_000;
 
-/// Seconds of processor time, where milliseconds are enough. The system counts them, and ends a run that needs more: other work on the
+/// CPU time limit in seconds, where milliseconds are enough. The system ends a run that needs more; other work on the
 /// machine does not count.
 const SECONDS: u32 = 10;
 
-/// Runs `line` in `folder` with `kilobytes` of addresses and [`SECONDS`] of processor time.
+/// Runs `line` in `folder` with `kilobytes` of address space and [`SECONDS`] of CPU time.
 #[cfg(unix)]
 fn within(folder: &Folder, kilobytes: u32, line: &str) -> Run {
     let script = format!("ulimit -t {SECONDS} && ulimit -v {kilobytes} && exec \"$0\" {line}");
@@ -47,7 +49,7 @@ fn within(folder: &Folder, kilobytes: u32, line: &str) -> Run {
 #[cfg(unix)]
 fn refused(folder: &Folder, line: &str, said: &[&str]) {
     let before = folder.listing();
-    // A thread has a stack of its own; `compare` has no such option.
+    // Each thread has a stack; `compare` has no such option.
     let threads = if line.starts_with("compare") { "" } else { "--threads 2" };
     let run = within(folder, ADDRESSES, &format!("{line} {threads}"));
     assert!(matches!(run.code, 1 | 2), "{line}\n{run:?}");
@@ -57,7 +59,7 @@ fn refused(folder: &Folder, line: &str, said: &[&str]) {
     }
 }
 
-/// `count` zeros, packed by deflate: a thousandth of that.
+/// `count` zeros, compressed by deflate to a thousandth.
 fn zeros(count: usize) -> Vec<u8> {
     let mut packer = ZlibEncoder::new(Vec::new(), Compression::new(1));
     let some = vec![0; 1 << 20];
@@ -75,7 +77,7 @@ fn chunk(kind: &[u8; 4], content: &[u8]) -> Vec<u8> {
     [&(content.len() as u32).to_be_bytes()[..], kind, content, &crc.sum().to_be_bytes()].concat()
 }
 
-/// A grey PNG of 8 bit that says to be of that size, with `data` for its pixels and `others` before.
+/// A grey 8-bit PNG with this size in its header, with `data` for its pixels and `others` before them.
 fn png(width: u32, height: u32, others: &[Vec<u8>], data: &[u8]) -> Vec<u8> {
     let size = [width.to_be_bytes(), height.to_be_bytes()].concat();
     let head = chunk(b"IHDR", &[&size[..], &[8, 0, 0, 0, 0]].concat());
@@ -83,7 +85,7 @@ fn png(width: u32, height: u32, others: &[Vec<u8>], data: &[u8]) -> Vec<u8> {
     [signature, head, others.concat(), chunk(b"IDAT", data), chunk(b"IEND", &[])].concat()
 }
 
-/// A TIFF of one strip, `data`, with `tags` of one number each beside its place.
+/// A TIFF with one strip, `data`, and `tags` with one number each.
 fn tiff(tags: &[(u16, u32)], data: &[u8]) -> Vec<u8> {
     let mut all = tags.to_vec();
     let count = all.len() as u32 + 2;
@@ -101,7 +103,7 @@ fn tiff(tags: &[(u16, u32)], data: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// The same, of one sample of `bits` that is a float (`format` 3) or not, packed by deflate or not.
+/// The same, with one sample of `bits` that is a float (`format` 3) or not, compressed by deflate or not.
 fn grey_tiff(size: (u32, u32), bits: u32, format: u32, is_packed: bool, data: &[u8]) -> Vec<u8> {
     let packing = if is_packed { 8 } else { 1 };
     let tags =
@@ -142,7 +144,7 @@ fn photographs_that_say_too_much_are_refused_by_their_headers() {
     }
 }
 
-/// One of each reader that the commands have, on the same bomb.
+/// One of each reader of the commands, with the same file.
 #[cfg(unix)]
 #[test]
 fn every_command_refuses_what_says_too_much() {
@@ -162,7 +164,7 @@ fn every_command_refuses_what_says_too_much() {
     assert!(run.code == 0 && run.stdout.contains("./a.png") && run.stdout.contains("60000x60000"), "{run:?}");
 }
 
-/// What is packed beside the picture: a profile, a text.
+/// Compressed data in addition to the picture: a profile, a text.
 #[cfg(unix)]
 #[test]
 fn what_unfolds_beside_the_picture_is_not_unfolded() {
@@ -175,7 +177,7 @@ fn what_unfolds_beside_the_picture_is_not_unfolded() {
         encoder.write_image(&picture, picture.width(), picture.height(), ExtendedColorType::Rgb8).expect("a PNG");
         let profile = chunk(b"iCCP", &[b"profile\0\0", &bomb[..]].concat());
         let text = chunk(b"zTXt", &[b"Comment\0\0", &bomb[..]].concat());
-        // Behind IHDR, which is of 13 bytes.
+        // After IHDR, which has 13 bytes.
         let at = 8 + 12 + 13;
         let file = [&bytes[..at], &profile, &text, &bytes[at..]].concat();
         folder.put(&format!("p{i}.png"), &file);
@@ -209,7 +211,7 @@ fn exr_of(folder: &Folder, right: i32, bottom: i32) -> Vec<u8> {
 fn radiance_maps_that_say_too_much_are_refused_by_their_headers() {
     let folder = Folder::empty();
     let hdr = |size: &str, data: &[u8]| [format!("#?RADIANCE\n\n{size}\n").as_bytes(), data].concat();
-    // A pixel, then repetitions of it by 255, 255 << 8 and 255 << 16: 16 million pixels in 16 bytes.
+    // A pixel, then 255, 255 << 8 and 255 << 16 repetitions of it: 16 million pixels in 16 bytes.
     let row = [[9, 9, 9, 130], [1, 1, 1, 255], [1, 1, 1, 255], [1, 1, 1, 255]].concat();
     let bombs: [(&str, Vec<u8>, &[&str]); 11] = [
         ("a.exr", exr_of(&folder, i32::MAX - 1, i32::MAX - 1), &["a.exr"]),
@@ -261,7 +263,8 @@ fn what_is_allowed_is_as_the_user_says() {
     }
 }
 
-/// A bracket as a camera writes it, and the pixels of a frame: the small frames of other tests count as results in a batch.
+/// A bracket as written by a camera, and the pixels of a frame, because a batch would recognise the small frames of
+/// other tests as results.
 fn card() -> (Folder, Vec<PathBuf>, u64) {
     let folder = Folder::empty();
     let paths = Card::new(96).bracket(&[-2.0, 0.0, 2.0]).write(folder.path()).remove(0);
@@ -269,7 +272,7 @@ fn card() -> (Folder, Vec<PathBuf>, u64) {
     (folder, paths, u64::from(width) * u64::from(height))
 }
 
-/// A plan holds the size that its photographs had, and so is the leave to read them.
+/// A plan contains the size that its photographs had, and therefore allows reading them.
 #[test]
 fn a_batch_reads_what_is_allowed_and_a_job_what_was_planned() {
     let (folder, _, pixels) = card();
@@ -284,7 +287,7 @@ fn a_batch_reads_what_is_allowed_and_a_job_what_was_planned() {
     folder.line(&format!("batch --run plan.jsonl --id {id}")).done();
 }
 
-/// One photograph alone is more than is allowed for all: 20 MP of 16 bit.
+/// A single photograph exceeds the limit for all: 20 MP with 16 bits.
 #[test]
 fn a_photograph_that_does_not_fit_is_named_with_what_it_needs() {
     let folder = Folder::empty();
@@ -349,7 +352,7 @@ fn devices_and_folders_are_no_photographs() {
     }
 }
 
-/// A pipe is read to its end; in a folder nobody waits for what may come out of it.
+/// A pipe is read to its end; pipes in a folder are not read.
 #[cfg(unix)]
 #[test]
 fn a_pipe_is_a_photograph_where_it_is_named_and_none_where_it_is_found() {
@@ -377,7 +380,8 @@ fn a_thousand_photographs_are_no_bracket() {
     );
 }
 
-/// Between bytes of padding that belong to no segment a JPEG is searched once: to move what follows for each of them would be 10^13 bytes.
+/// A JPEG with padding bytes between segments is searched once: moving the rest for each of them would be 10^13
+/// bytes.
 #[cfg(unix)]
 #[test]
 fn padded_jpeg_is_read_in_little_time() {
@@ -390,13 +394,13 @@ fn padded_jpeg_is_read_in_little_time() {
     assert!(folder.bytes("padded.png") == folder.bytes("plain.png"));
 }
 
-/// With less and less of it, there is the result or none. Where it ends is another place on each machine: before the program is loaded, in the
-/// runtime of C or of Rust, or where we ask for it.
+/// With less and less memory, there is a result or none. The point of failure is different on each machine: before
+/// the program is loaded, in the runtime of C or of Rust, or in our allocations.
 #[cfg(target_os = "linux")]
 #[test]
 fn memory_that_is_refused_leaves_the_result_or_none() {
     let folder = Folder::empty();
-    // 900 x 600: large enough that the frames count beside the program.
+    // 900 x 600: large enough for the frames to matter in comparison with the program.
     for i in 2..=4 {
         let large = image::imageops::resize(&small(i), 900, 600, image::imageops::FilterType::Triangle);
         folder.put(&format!("w{i}.jpg"), &jpeg(&large, Some(i)));
@@ -405,7 +409,7 @@ fn memory_that_is_refused_leaves_the_result_or_none() {
     let line = "merge w2.jpg w3.jpg w4.jpg --align none --threads 1 -q -o a.png";
     folder.line(line).done();
     let whole = folder.bytes("a.png");
-    // The first holds the run, and the last not even the program.
+    // The first is enough for the run, and the last not even for the program.
     for megabytes in [2000, 90, 60, 45, 1] {
         let _ = fs::remove_file(folder.at("a.png"));
         let script = format!("ulimit -v {} && exec \"$0\" {line}", megabytes * 1000);
@@ -417,7 +421,7 @@ fn memory_that_is_refused_leaves_the_result_or_none() {
         assert_eq!(folder.at("a.png").exists(), is_done, "{megabytes} MB");
         assert!(!is_done || folder.bytes("a.png") == whole, "{megabytes} MB");
     }
-    // Temporary files that an abort left are removed by the next run.
+    // Temporary files left by an abort are removed by the next run.
     folder.line(line).done();
     fs::remove_file(folder.at("a.png")).expect("the result");
     assert_eq!(folder.listing(), before);
@@ -442,7 +446,7 @@ fn a_photograph_that_changes_while_a_job_is_done_is_an_error_and_leaves_no_resul
     let error = job::run(&jobs[0], &options, false, &change).expect_err("it was changed").to_string();
     assert!(error.contains(": was changed while it was read"), "{error}");
     assert!(!jobs[0].outputs[0].exists() && !jobs[0].report.exists());
-    // Now that it stays as it is, it is merged: JPEGs may have anything behind them.
+    // Now that it no longer changes, it is merged: JPEGs may be followed by any data.
     job::run(&jobs[0], &options, false, &pipeline::unwatched).expect("merged");
     assert!(jobs[0].outputs[0].exists());
 }

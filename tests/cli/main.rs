@@ -1,4 +1,4 @@
-//! The program, through its binary: exit codes, streams, files, reports, goldens, faults of the machine.
+//! The program: exit codes, streams, files, reports, golden files, failures of the machine.
 
 #[path = "../support/mod.rs"]
 mod support;

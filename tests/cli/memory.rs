@@ -1,4 +1,5 @@
-//! Memory: `--max-memory` is kept by every command, however many threads there are, with the same bytes; or it is refused.
+//! Memory: every command respects `--max-memory` with any number of threads and writes the same bytes, or reports an
+//! error.
 
 use crate::support::{Folder, jpeg, small};
 use image::imageops::{FilterType, resize};
@@ -6,7 +7,7 @@ use std::fs;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-/// The most that was resident of a run of `line` in `folder`, in bytes: the kernel's own count of it, as often as it can be read.
+/// Largest resident memory of a run of `line` in `folder`, in bytes: the kernel's count, read as often as possible.
 fn peak(folder: &Folder, line: &str) -> u64 {
     let mut command = Command::new(crate::support::program());
     command.args(line.split_whitespace()).current_dir(folder.path()).stdin(Stdio::null()).stdout(Stdio::null());
@@ -14,7 +15,7 @@ fn peak(folder: &Folder, line: &str) -> u64 {
     let status = format!("/proc/{}/status", child.id());
     let mut most = 0;
     let code = loop {
-        // It never falls, so that only what the last milliseconds add is not seen; there is nothing left to be encoded then.
+        // It never falls, so only an increase in the last milliseconds is missed, when nothing is left to be encoded.
         let text = fs::read_to_string(&status).unwrap_or_default();
         let line = text.lines().find_map(|line| line.strip_prefix("VmHWM:"));
         let kilobytes = line.and_then(|line| line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok());
@@ -28,7 +29,7 @@ fn peak(folder: &Folder, line: &str) -> u64 {
     most
 }
 
-/// Three frames of 6 MP: 54 MB of codes and 72 MB of radiance, beside the program and what every thread takes for itself.
+/// Three frames of 6 MP: 54 MB of codes and 72 MB of radiance, in addition to the program and its threads.
 #[cfg(target_os = "linux")]
 #[test]
 fn memory_allowed_is_kept_on_any_number_of_threads_with_the_same_bytes() {
@@ -47,7 +48,7 @@ fn memory_allowed_is_kept_on_any_number_of_threads_with_the_same_bytes() {
     }
 }
 
-/// The least that `line` says that it takes, in MB, where it may not have that much.
+/// The smallest limit that `line` reports, in MB, if it is given less.
 #[cfg(target_os = "linux")]
 fn least(folder: &Folder, line: &str) -> u64 {
     let before = folder.listing();
@@ -60,7 +61,7 @@ fn least(folder: &Folder, line: &str) -> u64 {
     needed
 }
 
-/// Less than the least is refused before any work is done, and with the least everything goes, on many threads too.
+/// Less than the minimum is an error before any work; with the minimum everything works, also on many threads.
 #[cfg(target_os = "linux")]
 #[test]
 fn memory_that_does_not_suffice_is_refused_and_what_is_named_instead_suffices() {
@@ -88,7 +89,7 @@ fn memory_that_does_not_suffice_is_refused_and_what_is_named_instead_suffices() 
     }
 }
 
-/// What is read as a whole is refused where it does not fit, and else kept: by `tonemap` and `compare`.
+/// Files that are read completely are rejected if they do not fit: by `tonemap` and `compare`.
 #[cfg(target_os = "linux")]
 #[test]
 fn memory_of_what_is_read_by_itself_is_kept_or_refused() {
@@ -110,7 +111,7 @@ fn memory_of_what_is_read_by_itself_is_kept_or_refused() {
         assert!(run.code == code && run.stderr.contains("raise it with --max-memory"), "{command}: {run:?}");
         let needed = run.stderr.split_once("need ").and_then(|(_, rest)| rest.split_once(" MB while"));
         let needed: u64 = needed.and_then(|(megabytes, _)| megabytes.parse().ok()).expect("what it needs");
-        // Of a file that can be decoded all else may not fit yet.
+        // If the file can be decoded, there may still not be enough memory for the rest.
         let run = folder.line(&format!("{command} --max-memory {}MB", needed + 10));
         assert!(run.code == code, "{command}: {run:?}");
         let allowed = 350;
@@ -119,7 +120,7 @@ fn memory_of_what_is_read_by_itself_is_kept_or_refused() {
     }
 }
 
-/// A batch shares its memory out among brackets: all together stay within it.
+/// A batch divides its memory among brackets: all together stay within the limit.
 #[cfg(target_os = "linux")]
 #[test]
 fn memory_of_a_batch_is_kept_by_all_its_brackets_together() {

@@ -1,4 +1,4 @@
-//! Names in, names out: where results go, and names that are hard to handle.
+//! File names: default names of results, and unusual names.
 
 use crate::support::{Folder, small, small_jpeg};
 
@@ -30,13 +30,13 @@ fn aligned_frames_have_one_size_and_open_elsewhere() {
         run.stdout.lines().map(|p| image::open(folder.at(p)).expect("a TIFF that opens").to_rgb8()).collect();
     let (w, h) = pictures[0].dimensions();
     assert!(pictures.iter().all(|p| p.dimensions() == (w, h)));
-    // Turns under a degree and shifts under 6 of 300 pixels leave most of the picture.
+    // Rotations under a degree and shifts under 6 of 300 pixels leave most of the picture.
     assert!((250..300).contains(&w) && (160..200).contains(&h), "{w} x {h}");
-    // The reference is only cut, never resampled.
+    // The reference is only cropped, never resampled.
     let reference = small_jpeg(3);
     let whole = image::load_from_memory(reference).expect("a JPEG").to_rgb8();
     let cut = |x, y| image::imageops::crop_imm(&whole, x, y, w, h).to_image();
-    // Two decoders may round by a step or two.
+    // Two decoders may differ by a code or two.
     let near = |p: &image::RgbImage| p.as_raw().iter().zip(pictures[1].as_raw()).all(|(a, b)| a.abs_diff(*b) <= 3);
     assert!((0..=300 - w).any(|x| (0..=200 - h).any(|y| near(&cut(x, y)))), "the reference was changed");
 }
@@ -86,7 +86,7 @@ fn a_saved_response_gives_the_same_radiance() {
     folder.line(&format!("{line} -o a.exr --save-response r.json")).done();
     folder.line(&format!("{line} -o b.exr --response r.json")).done();
     assert!(folder.bytes("a.exr") == folder.bytes("b.exr"), "the .exr differ");
-    // And not because the response did not matter.
+    // And not because the response has no influence.
     folder.line(&format!("{line} -o c.exr --response-model linear")).done();
     assert!(folder.bytes("a.exr") != folder.bytes("c.exr"));
 }

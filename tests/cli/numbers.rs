@@ -1,4 +1,5 @@
-//! Numbers: what is asked for at the ends of what numbers hold gives finite results, or is refused, and what a format does not hold is told.
+//! Extreme numbers: options at the ends of the range give finite results or an error, and values that a format does
+//! not support are reported.
 
 use crate::support::{Folder, jpeg, small};
 use hdralign::read::read;
@@ -6,7 +7,7 @@ use serde_json::Value;
 
 const MERGE: &str = "merge w2.jpg w3.jpg w4.jpg --align none --force";
 
-/// The least and the greatest value in the radiance map `name`; all are finite.
+/// Smallest and largest value in the radiance map `name`; all are finite.
 fn range(folder: &Folder, name: &str) -> (f32, f32) {
     let (map, _) = read(&folder.at(name)).expect("a radiance map");
     let values = map.pixels.as_slice().as_flattened();
@@ -14,7 +15,7 @@ fn range(folder: &Folder, name: &str) -> (f32, f32) {
     values.iter().fold((f32::MAX, 0.0), |(least, most), v| (v.min(least), v.max(most)))
 }
 
-/// Every writer, at both ends of what factors may be: clamped values are counted and told, and there are no others.
+/// Every writer, with the smallest and largest factors: limited values are counted and reported, and all are finite.
 #[test]
 fn what_a_format_does_not_hold_is_clamped_and_reported() {
     let folder = Folder::with_bracket();
@@ -28,13 +29,13 @@ fn what_a_format_does_not_hold_is_clamped_and_reported() {
             assert!(run.stderr.contains("h.exr: ") && run.stderr.contains("above 65504"), "{}", run.stderr);
             assert_eq!(most, at_half);
         }
-        // LogLuv has a scale beside its pixels.
+        // LogLuv has a scale in addition to its pixels.
         range(&folder, "l24.tif");
         range(&folder, "a.hdr");
         let report: Value = serde_json::from_slice(&folder.bytes("r.json")).expect("JSON");
         let numbers = ["min", "max"].map(|key| report["radiance"]["radiance"][key].as_f64().expect("a number"));
         assert!(numbers[0] > 0.0 && numbers[1] >= numbers[0], "{numbers:?}");
-        // 126 stops hold both.
+        // 126 stops contain both.
         folder.line(&format!("{MERGE} -o l32.tif --tiff-encoding logluv32 --calibration-factor {factor}")).done();
         range(&folder, "l32.tif");
         folder.line(&format!("{MERGE} -o f.exr -o f.tif --exr-type float --calibration-factor {factor}")).done();
@@ -58,19 +59,20 @@ fn exposures_that_are_none_are_refused() {
         let run = folder.line(&format!("{MERGE} -o a.exr -e={ev}"));
         assert!(run.code == 2 && run.stderr.contains("-e"), "{ev}: {run:?}");
     }
-    // As far apart as is taken: every pixel is finite, whatever that means of this scene.
+    // The largest accepted difference: every pixel is finite, whatever the meaning for this scene.
     folder.line(&format!("{MERGE} -o a.exr -o a.hdr -o a.png --exr-type float -e=-40,0,40")).done();
     assert!(range(&folder, "a.exr").0 > 0.0);
     range(&folder, "a.hdr");
 }
 
-/// An EXIF whose exposure is 0, infinite, or no camera's, is as good as none.
+/// An EXIF exposure of 0, infinite, or impossible for a camera, counts as missing.
 #[test]
 fn impossible_exposures_in_exif_are_estimated() {
     let folder = Folder::empty();
     for i in 2..=4 {
         let mut bytes = jpeg(&small(i), Some(i));
-        // The time of the exposure stands as a rational in the block: its bytes, by what the file says, become 0/1, 1/0, 4294967295/1.
+        // The exposure time is a rational in the block: its bytes are replaced by 0/1, 1/0, 4294967295/1, in the byte
+        // order of the file.
         let exif = exif::Reader::new().read_from_container(&mut std::io::Cursor::new(&bytes)).expect("EXIF");
         let field = exif.get_field(exif::Tag::ExposureTime, exif::In::PRIMARY).expect("a time");
         let exif::Value::Rational(time) = &field.value else { panic!("a rational") };

@@ -1,6 +1,7 @@
-//! The report as a page: self-contained, true to the run, and safe whatever the files are called.
+//! The report page: self-contained, correct, and safe for any file names.
 //!
-//! `cargo test --test cli page -- --ignored` opens it in Chromium (`HDRALIGN_CHROMIUM` names another program), by `tests/page_in_chromium.py`.
+//! `cargo test --test cli page -- --ignored` opens it in Chromium (`HDRALIGN_CHROMIUM` names another program), with
+//! `tests/page_in_chromium.py`.
 
 use crate::support::{FRAMES, Folder, jpeg, small, small_jpeg, window};
 use base64::Engine;
@@ -8,7 +9,7 @@ use base64::engine::general_purpose::STANDARD;
 use image::{GrayImage, Rgb, RgbImage};
 use std::process::Command;
 
-/// A page of five frames may weigh so much, in bytes.
+/// Largest size of a page with five frames, in bytes.
 const MOST_BYTES: usize = 3_000_000;
 
 fn page(folder: &Folder, line: &str) -> String {
@@ -16,24 +17,24 @@ fn page(folder: &Folder, line: &str) -> String {
     String::from_utf8(folder.bytes("page.html")).expect("UTF-8")
 }
 
-/// The tags of the page, without what is in `data:` addresses, style and script.
+/// The tags of the page, without the contents of `data:` URLs, style and script.
 fn tags(html: &str) -> Vec<&str> {
     let body = html.split_once("<body>").expect("a body").1.split_once("<script>").expect("a script").0;
     body.split('<').skip(1).map(|t| t.split_once('>').expect("an end of the tag").0).collect()
 }
 
-/// What stands behind `name="` in each of the tags.
+/// The values of `name="..."` in each of the tags.
 fn attributes<'a>(tags: &[&'a str], name: &str) -> Vec<&'a str> {
     let start = format!(" {name}=\"");
     tags.iter().filter_map(|t| Some(t.split_once(start.as_str())?.1.split('"').next().unwrap_or_default())).collect()
 }
 
-/// The picture behind the first `src="data:...` after `mark`.
+/// The picture in the first `src="data:...` after `mark`.
 fn picture(html: &str, mark: &str) -> RgbImage {
     let from = html.split_once(mark).unwrap_or_else(|| panic!("{mark}")).1;
     let data = from.split_once("src=\"data:image/jpeg;base64,").expect("a picture").1;
     let bytes = STANDARD.decode(data.split('"').next().expect("an end")).expect("base64");
-    // Not by `image`, whose decoder gets colours at half the resolution wrong in some sizes.
+    // Not by `image`, whose decoder is wrong for chroma at half the resolution in some sizes.
     let mut decoder = jpeg_decoder::Decoder::new(&bytes[..]);
     let pixels = decoder.decode().expect("a picture");
     let size = decoder.info().expect("a size");
@@ -45,13 +46,13 @@ fn card(html: &str, name: &str) -> GrayImage {
     image::DynamicImage::from(picture(html, &format!("data-caption=\"{name}"))).to_luma8()
 }
 
-/// How well the edges of `a` agree with those of `b` moved by so much, -1..=1; both have the same size.
+/// Correlation of the edges of `a` with those of `b` moved by so much, -1..=1; both have the same size.
 fn agreement(a: &GrayImage, b: &GrayImage, (dx, dy): (i64, i64)) -> f64 {
     assert_eq!(a.dimensions(), b.dimensions());
     let (w, h) = (i64::from(a.width()), i64::from(a.height()));
     let slope = |of: &GrayImage, x: i64, y: i64| {
         let at = |x: i64| f64::from(of.get_pixel(x as u32, y as u32)[0]);
-        // The logarithm makes exposures alike.
+        // The logarithm makes exposures comparable.
         (at(x + 1) + 1.0).ln() - (at(x - 1) + 1.0).ln()
     };
     let (mut both, mut one, mut two) = (0.0, 0.0, 0.0);
@@ -64,13 +65,13 @@ fn agreement(a: &GrayImage, b: &GrayImage, (dx, dy): (i64, i64)) -> f64 {
     both / (one * two).sqrt()
 }
 
-/// What does not depend on how quick the machine was.
+/// The page without parts that depend on the speed of the machine.
 fn without_times(html: &str) -> String {
     let is_time = |line: &&str| line.contains("class=\"bar\"") || line.contains("<dt>Time</dt>");
     html.lines().filter(|line| !is_time(line)).collect::<Vec<_>>().join("\n")
 }
 
-/// Nothing is loaded from anywhere.
+/// Checks that nothing is loaded from elsewhere.
 fn assert_whole(html: &str) {
     let tags = tags(html);
     let loaded: Vec<&str> = ["src", "href", "srcset", "data", "action", "poster", "xlink:href"]
@@ -84,7 +85,7 @@ fn assert_whole(html: &str) {
     }
     assert!(html.contains("default-src 'none'; img-src data:;"));
     assert!(tags.iter().all(|t| !t.starts_with("script") && !t.starts_with("link") && !t.starts_with("iframe")));
-    // What is left of a tag without its quoted values: no handler among the attributes.
+    // The rest of a tag without its quoted values: there are no handlers among the attributes.
     let bare: Vec<String> = tags.iter().map(|t| t.split('"').step_by(2).collect()).collect();
     let words = bare.iter().flat_map(|t| t.split_whitespace().skip(1));
     let names: Vec<&str> = words.filter(|a| a.starts_with("on")).collect();
@@ -105,16 +106,16 @@ fn the_page_of_a_merge_has_everything_and_needs_nothing() {
     for i in 1..=FRAMES {
         assert!(html.contains(&format!("<h3>window_{i}.jpg</h3>")), "{i}");
     }
-    // The result is there with all its pixels, and so are the frames.
+    // The result has all its pixels, and so have the frames.
     let crop = picture(&html, "class=\"canvas\"");
     assert_eq!(crop.width(), image::image_dimensions(window(1)).map(|size| size.0).expect("a size").min(crop.width()));
     assert_eq!(html.matches(&format!("width=\"{}\" height=\"{}\" alt=", crop.width(), crop.height())).count(), 6);
     assert!(html.contains("100\u{a0}% is that of the file") && !html.contains("look softer"));
-    // What can be shown, and how large: the result and every frame; all, once and twice.
+    // Choices of pictures and zooms: the result and every frame; fit, 100 % and 200 %.
     assert_eq!((html.matches("name=\"shown\"").count(), html.matches("name=\"zoom\"").count()), (1 + FRAMES, 3));
-    // Nothing moved: there is nothing to switch on.
+    // Nothing moved: there is no overlay to switch on.
     assert!(!html.contains("type=\"checkbox\"") && html.contains("Nothing moved in the scene."));
-    // Four frames moved: each with its slider; angle and two shifts for each.
+    // Four frames moved: each has a slider; rotation and two shifts for each.
     assert_eq!((html.matches("type=\"range\"").count(), html.matches("rotation, degrees</text>").count()), (4, 4));
     for section in ["frames", "settings", "details"] {
         assert!(html.contains(&format!("<section id=\"{section}\"")), "{section}");
@@ -161,7 +162,7 @@ fn frames_lie_where_the_result_does() {
 fn large_picture_is_reduced_and_the_page_says_so() {
     let folder = Folder::empty();
     for (i, stops) in [-1.0, 1.0].iter().enumerate() {
-        // Grain, which JPEG does not like.
+        // Noise, which JPEG compresses badly.
         let photograph = RgbImage::from_fn(2400, 1600, |x, y| {
             let grain = f64::from(((x * 7919) ^ (y * 104_729)).wrapping_mul(0x9E37_79B9) >> 26) - 32.0;
             let v = 110.0 + 50.0 * (f64::from(x) / 70.0).sin() + 40.0 * (f64::from(y) / 50.0).cos() + grain;
@@ -201,7 +202,7 @@ fn movement_is_laid_over_the_picture() {
     let from = html.split_once("class=\"over movement\"").expect("an overlay").1.split_once("base64,").expect("data").1;
     let bytes = STANDARD.decode(from.split('"').next().expect("an end")).expect("base64");
     let overlay = image::load_from_memory(&bytes).expect("a picture").to_rgba8();
-    // Over the square it is coloured, in a corner it is clear.
+    // It is coloured over the square, and transparent in a corner.
     assert_eq!(overlay.dimensions(), (300, 200));
     assert!(overlay.get_pixel(150, 100)[3] > 100 && overlay.get_pixel(3, 3)[3] == 0);
     let off = page(&folder, "merge w2.jpg w3.jpg w4.jpg --reference w3.jpg --deghost=off -o a.exr");
@@ -232,7 +233,7 @@ fn it_is_the_same_but_for_the_times() {
     let folder = Folder::with_bracket();
     let line = "merge w1.jpg w2.jpg w3.jpg w4.jpg w5.jpg -o a.exr";
     let first = page(&folder, &format!("{line} --threads 1"));
-    // In as little memory as it takes, the frames on disk.
+    // With the smallest memory limit, with the frames on disk.
     let second = page(&folder, &format!("{line} --threads 16 --max-memory 64MB"));
     assert_eq!(without_times(&first), without_times(&second));
     let results = folder.bytes("a.exr");
@@ -248,7 +249,7 @@ fn names_stay_names_and_warnings_are_said() {
     for (i, name) in hostile.iter().enumerate() {
         folder.put(name, small_jpeg(i + 2));
     }
-    // Another scene: it is left out, with a warning.
+    // Another scene: it is rejected, with a warning.
     let stripes = image::RgbImage::from_fn(300, 200, |x, y| image::Rgb([(x * 7 % 256) as u8, (y * 3 % 256) as u8, 40]));
     folder.put("stripes.jpg", &crate::support::jpeg(&stripes, Some(5)));
     let arguments = ["merge", "-o", "a.exr", "--report", "page.html", "stripes.jpg"].iter().chain(&hostile);
@@ -267,7 +268,7 @@ fn names_stay_names_and_warnings_are_said() {
     // The same warnings as on stderr.
     let said: Vec<&str> = run.stderr.lines().filter_map(|l| l.strip_prefix("warning: ")).collect();
     let left_out = said.iter().find(|w| w.contains("stripes.jpg")).unwrap_or_else(|| panic!("{}", run.stderr));
-    // What was found, and what to do about it.
+    // What was found, and the remedy.
     let (what, remedy) = left_out.split_once(": ").and_then(|(_, text)| text.rsplit_once("; ")).expect("a remedy");
     assert!(html.contains(&format!("<b>Have a look: stripes.jpg.</b> {}", what.replacen('r', "R", 1))), "{what}");
     let remedy = remedy.replacen("if", "If", 1).replace("--unmoved", "<code>--unmoved</code>");

@@ -1,11 +1,11 @@
-//! Frames that a phone tone-mapped locally, as the command line has them.
+//! Frames with local tone mapping by a phone, through the program.
 
 use crate::support::Folder;
 use image::{Rgb, RgbImage};
 use std::io::Cursor;
 
-/// A frame `stops` longer than the middle one of a dark room with a bright window, as a camera or a phone renders it. The phone brightens what is dark and
-/// darkens what is bright, up to a bound, by the window and the room as wholes.
+/// A frame `stops` longer than the middle one of a dark room with a bright window, as rendered by a camera or a
+/// phone. The phone brightens dark and darkens bright parts, up to a limit, separately for the window and the room.
 fn frame(stops: i32, is_phone: bool) -> Vec<u8> {
     let picture = RgbImage::from_fn(360, 240, |x, y| {
         let window = (200..300).contains(&x) && (60..160).contains(&y);
@@ -14,7 +14,7 @@ fn frame(stops: i32, is_phone: bool) -> Vec<u8> {
         let gain = if is_phone { (base / 0.18).powf(-0.55).clamp(0.25, 3.0) } else { 1.0 };
         let v = (base * texture * gain).min(1.0);
         let code = if v <= 0.0031308 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 };
-        // A code of noise, by a hash of the place.
+        // A code of noise, from a hash of the position.
         let noise = (x + 360 * y + stops.unsigned_abs()).wrapping_mul(0x9E37_79B9) >> 30;
         Rgb([(255.0 * code + f64::from(noise) - 1.0).clamp(0.0, 255.0) as u8; 3])
     });
@@ -52,13 +52,13 @@ fn frames_of_a_phone_are_named_merged_with_a_gain_and_strict_exits_with_3() {
         (2, Some("a.png"), Some("c.png"))
     );
     let gain = |i: usize| [0, 1].map(|k: usize| frames[i]["gain_stops"][k].as_f64().expect("a number"));
-    // The longer frame was brightened less than the reference, the shorter more.
+    // The longer frame was brightened less than the reference, the shorter one more.
     assert!(gain(1)[1] > 0.5 && gain(0)[0] < -0.5, "{local}");
     assert_eq!(folder.line(&format!("{MERGE} --strict")).code, 3);
     folder.line(&format!("{MERGE} --report r.html")).done();
     let html = folder.bytes("r.html");
     let html = String::from_utf8_lossy(&html);
-    // On the page what the phone did to a frame can be laid over the picture, and is there for each frame but the reference.
+    // On the page the local processing of each frame except the reference can be laid over the picture.
     for words in [
         "Local gain",
         "class=\"over gain\"",
@@ -94,7 +94,7 @@ fn response_of_a_phone_is_not_saved_and_that_of_a_camera_is() {
         assert!(run.stderr.contains("b.png: the frames are locally processed by the camera"), "{}", run.stderr);
         assert!(!phone.at("c.json").exists() && !phone.at("o.exr").exists());
     }
-    // A curve that the user states may be saved.
+    // A curve given by the user can be saved.
     phone.line(&format!("{MERGE} --response-model srgb --save-response c.json")).done();
     let camera = folder(false);
     camera.line(&format!("{MERGE} --save-response c.json")).done();

@@ -1,4 +1,4 @@
-//! Pictures as photographers ask for them: bits, formats, colours, capture data, parts and sizes. What was written is read by others' decoders.
+//! Options of pictures: bits, formats, colours, capture data, crops and sizes. Results are read by other decoders.
 
 use crate::support::{Folder, jpeg, small};
 use hdralign::bracket::colour::{Conversion, Primaries, Space, srgb_to_linear};
@@ -10,7 +10,7 @@ use image::{DynamicImage, ImageDecoder, ImageReader};
 
 const MERGE: &str = "merge w2.jpg w3.jpg w4.jpg --align none -q --force";
 
-/// The codes of a picture of 16 bits, and its size.
+/// The codes of a 16-bit picture, and its size.
 fn sixteen(folder: &Folder, name: &str) -> (Vec<u16>, (u32, u32)) {
     match image::open(folder.at(name)).unwrap_or_else(|e| panic!("{name}: {e}")) {
         DynamicImage::ImageRgb16(picture) => {
@@ -21,7 +21,7 @@ fn sixteen(folder: &Folder, name: &str) -> (Vec<u16>, (u32, u32)) {
     }
 }
 
-/// The codes of a picture of 8 bits, and its size.
+/// The codes of an 8-bit picture, and its size.
 fn eight(folder: &Folder, name: &str) -> (Vec<u8>, (u32, u32)) {
     match image::open(folder.at(name)).unwrap_or_else(|e| panic!("{name}: {e}")) {
         DynamicImage::ImageRgb8(picture) => {
@@ -32,7 +32,7 @@ fn eight(folder: &Folder, name: &str) -> (Vec<u8>, (u32, u32)) {
     }
 }
 
-/// That `line` is wrong usage, and says all of `said`.
+/// Checks that `line` is wrong usage, with a message that contains all of `said`.
 fn refused(folder: &Folder, line: &str, said: &[&str]) {
     let before = folder.listing();
     let run = folder.line(line);
@@ -40,8 +40,8 @@ fn refused(folder: &Folder, line: &str, said: &[&str]) {
     assert!(said.iter().all(|part| run.stderr.contains(part)), "{line}: {}", run.stderr);
 }
 
-/// 8 bits are rounded from the same floats: half an 8-bit code is 128.5 codes of 16 bits, and the tables add 0.05. Codes that were stretched would all be
-/// multiples of 257; of floats one in 257 is.
+/// 8-bit codes are rounded from the same floats: half an 8-bit code is 128.5 16-bit codes, and the tables add 0.05.
+/// Codes scaled from 8 bits would all be multiples of 257; of codes from floats one in 257 is.
 #[test]
 fn codes_of_16_bits_are_of_the_floats() {
     let folder = Folder::with_bracket();
@@ -69,7 +69,7 @@ fn bits_that_a_file_does_not_hold_are_refused() {
     }
 }
 
-/// The profile embedded in a file, and what it calls itself.
+/// The profile embedded in a file, and its description.
 fn profile(folder: &Folder, name: &str) -> Option<(moxcms::ColorProfile, String)> {
     let mut decoder = ImageReader::open(folder.at(name)).expect("a file").into_decoder().expect("a picture");
     let icc = decoder.icc_profile().expect("a readable file")?;
@@ -79,7 +79,7 @@ fn profile(folder: &Folder, name: &str) -> Option<(moxcms::ColorProfile, String)
     Some((profile, words))
 }
 
-/// `codes` of `profile` as sRGB, by another's colour management.
+/// Converts `codes` from `profile` to sRGB with another colour management.
 fn to_srgb(profile: &moxcms::ColorProfile, codes: &[u8]) -> Vec<u8> {
     let (layout, srgb) = (moxcms::Layout::Rgb, moxcms::ColorProfile::new_srgb());
     let options = moxcms::TransformOptions::default();
@@ -89,7 +89,8 @@ fn to_srgb(profile: &moxcms::ColorProfile, codes: &[u8]) -> Vec<u8> {
     out
 }
 
-/// Mean of what codes differ by, and what 19 of 20 are within: the most saturated colours are drawn to grey by as much as a space lacks.
+/// Mean difference of codes, and the difference that 19 of 20 do not exceed: saturated colours are desaturated if
+/// they are outside of a space.
 fn difference(a: &[u8], b: &[u8]) -> (f64, u8) {
     let mut off: Vec<u8> = a.iter().zip(b).map(|(a, b)| a.abs_diff(*b)).collect();
     let mean = off.iter().map(|&d| f64::from(d)).sum::<f64>() / off.len() as f64;
@@ -97,7 +98,7 @@ fn difference(a: &[u8], b: &[u8]) -> (f64, u8) {
     (mean, *off.select_nth_unstable(place).1)
 }
 
-/// Read by its profile, a picture of any colours looks like that of sRGB; taken for sRGB it does not.
+/// Converted by its profile, a picture in any colour space looks like that in sRGB; without the profile it does not.
 #[test]
 fn colours_of_the_picture_are_reported_by_its_profile_in_every_format() {
     let folder = Folder::with_bracket();
@@ -116,7 +117,7 @@ fn colours_of_the_picture_are_reported_by_its_profile_in_every_format() {
                 let (profile, named) = profile(&folder, name).unwrap_or_else(|| panic!("{name} has no profile"));
                 assert_eq!(named, words, "{name}");
                 let (mean, most) = difference(&to_srgb(&profile, &codes), srgb);
-                // Fusion weighs by codes, which are others; JPEG loses something even of the best quality.
+                // Fusion depends on codes, which differ; JPEG has losses even at the best quality.
                 let is_fused = line.contains("mertens");
                 let allowed = if *name == "a.jpg" { 1.0 } else { 0.0 } + if is_fused { 2.2 } else { 0.7 };
                 assert!(
@@ -128,7 +129,7 @@ fn colours_of_the_picture_are_reported_by_its_profile_in_every_format() {
             }
         }
     }
-    // cICP of Display P3 for readers that know it; the profile for the others.
+    // cICP of Display P3 for readers that support it; the profile for the others.
     folder.line("tonemap a.exr --picture a.png --picture-color display-p3 --bit-depth 16 -q --force").done();
     let bytes = folder.bytes("a.png");
     let at = |name: &[u8; 4]| bytes.windows(4).position(|w| w == name);
@@ -137,7 +138,7 @@ fn colours_of_the_picture_are_reported_by_its_profile_in_every_format() {
     assert!(Some(cicp) < at(b"iCCP") && at(b"iCCP") < at(b"IDAT") && at(b"sRGB").is_none());
 }
 
-/// Display P3's own red is in a picture of Display P3 as it is, and drawn to grey in one of sRGB.
+/// Display P3's red is unchanged in a picture in Display P3, and desaturated in one in sRGB.
 #[test]
 fn gamut_is_that_of_the_picture() {
     let folder = Folder::empty();
@@ -151,7 +152,7 @@ fn gamut_is_that_of_the_picture() {
     let display = DisplayImage { pixels: Plane::filled(90, 60, [0; 3]) };
     let files = write::write(&[folder.at("a.tif")], &map, &display, &Metadata::default(), &write::Options::default());
     write::commit(files.expect("a file").into_iter().map(|w| w.file).collect(), false).expect("a name");
-    // The share of other light in the red, of Display P3's primaries.
+    // The fraction of other light in red, in Display P3's primaries.
     let other = |options: &str, space: Space| {
         folder.line(&format!("tonemap a.tif --tmo drago --picture p.png -q --force {options}")).done();
         let (codes, _) = eight(&folder, "p.png");
@@ -161,7 +162,7 @@ fn gamut_is_that_of_the_picture() {
         (light[1] / light[0], light[2] / light[0])
     };
     let (p3, srgb) = (other("--picture-colour display-p3", Space::DisplayP3), other("", Space::Srgb));
-    // What the tone curve takes of the saturation is grey; codes of 8 bits are rounded by 5 % of it.
+    // The tone curve reduces saturation a little; 8-bit codes round by 5 % of it.
     assert!(p3.0 < 0.015 && (p3.0 / p3.1 - 1.0).abs() < 0.05, "{p3:?}");
     assert!(srgb.0 > 2.0 * p3.0, "{srgb:?} {p3:?}");
 }
@@ -178,10 +179,10 @@ fn picture_is_what_picture_names_whatever_the_extension() {
     assert_eq!(format!("{resolution:?}"), "Rational(72, 1)");
     assert_eq!(tiff.get_tag_u32(tiff::tags::Tag::ResolutionUnit).expect("a unit"), 2);
     assert_eq!(tiff.get_tag_u32(tiff::tags::Tag::Compression).expect("a kind"), 8);
-    // Pictures are no radiance, and no photographs.
+    // Pictures are neither radiance nor photographs.
     assert_eq!(folder.line("tonemap b.tif -o x.png").code, 1);
     refused(&folder, "merge w1.jpg w2.jpg b.tif -o x.exr", &["b.tif is a result of hdralign"]);
-    // Who names a picture gets that alone.
+    // With --picture only a picture is written.
     let run = folder.line("tonemap a.tif --picture d.tif -q").done();
     assert_eq!(run.stdout, "d.tif\n");
     assert!(eight(&folder, "d.tif").1 == (300, 200) && !folder.at("a.png").exists());
@@ -220,13 +221,14 @@ fn batch_makes_pictures_beside_its_results() {
     refused(&folder, "batch in -d other --formats png,jpg --bit-depth 16", &["--bit-depth", "JPEG"]);
 }
 
-/// Without deghosting, which has cells of its own, a part has the radiance that the whole has there, byte for byte; all results show it.
+/// Without deghosting, which has its own cells, the radiance of a crop has the same bytes as that part of the whole;
+/// all results show the crop.
 #[test]
 fn part_of_the_reference_is_what_the_whole_has_there() {
     let folder = Folder::with_bracket();
     let merge = "merge w1.jpg w2.jpg w3.jpg w4.jpg --reference w3.jpg --deghost=off --exr-type float -q --force";
     folder.line(&format!("{merge} -C none -o whole.exr")).done();
-    // The upper left corner, where some frames do not reach.
+    // The upper left corner, which some frames do not cover.
     let outputs = "-o part.exr --picture part.tif --save-aligned al_ --report r.json";
     folder.line(&format!("{merge} -C 0,5,120,90 {outputs}")).done();
     let radiance = |name: &str| hdralign::read::read(&folder.at(name)).expect("radiance").0.pixels;
@@ -249,7 +251,8 @@ fn part_of_the_reference_is_what_the_whole_has_there() {
     }
 }
 
-/// Beside another's Lanczos on the light of the picture: what differs is what is kept of ringing, and rounding.
+/// Compared with another implementation of Lanczos in linear light: the differences are limited ringing, and
+/// rounding.
 #[test]
 fn smaller_picture_is_the_light_of_the_large_one() {
     let folder = Folder::with_bracket();
@@ -303,7 +306,7 @@ fn picture_is_never_enlarged_and_size_without_picture_is_refused() {
     }
 }
 
-/// A picture of several slabs, smaller: the same bytes on any number of threads and within little memory.
+/// A reduced picture of several slabs: the same bytes on any number of threads and with little memory.
 #[test]
 fn smaller_picture_has_the_same_bytes_on_any_threads_and_memory() {
     let folder = Folder::empty();

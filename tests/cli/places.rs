@@ -1,4 +1,4 @@
-//! Places that the user gives: transforms taken from a file, frames left out or left where they are.
+//! Transforms given by the user: read from a file, excluded frames, and frames that did not move.
 
 use crate::support::Folder;
 use serde_json::Value;
@@ -20,13 +20,13 @@ fn transforms_are_written_once_and_taken_ever_after() {
     let text = std::fs::read_to_string(folder.at("t.json")).expect("a file");
     let saved: Value = serde_json::from_str(&text).expect("JSON");
     assert_eq!((&saved["schema"], &saved["reference"]), (&"hdralign-transforms/1".into(), &"w3.jpg".into()));
-    // The same result as without the file, bit by bit; the reference is the file's.
+    // The same result as without the file, exactly; the reference is that of the file.
     folder.line("merge w2.jpg w3.jpg w4.jpg --reference 2 -o found.exr").done();
     let taken = folder.line("merge w2.jpg w3.jpg w4.jpg --transforms t.json -o taken.exr --json").done();
     assert!(std::fs::read(folder.at("found.exr")).unwrap() == std::fs::read(folder.at("taken.exr")).unwrap());
     let said = report(&taken.stdout);
     assert_eq!((&said["transforms_from"], &said["reference"]), (&"t.json".into(), &"w3.jpg".into()));
-    // A place that was changed by hand is believed, and --force does not replace the file.
+    // A transform that was changed by hand is used, and --force does not replace the file.
     let mut moved = saved.clone();
     moved["frames"][0]["homography"] = serde_json::json!([1.0, 0.0, 12.5, 0.0, 1.0, -7.0, 0.0, 0.0, 1.0]);
     std::fs::write(folder.at("t.json"), moved.to_string()).unwrap();
@@ -67,7 +67,7 @@ fn frames_are_left_out_or_left_unmoved_by_name() {
     assert_eq!((&out["status"], &out["homography"]), (&"rejected".into(), &Value::Null));
     assert_eq!((&still["status"], &still["confidence"]), (&"unmoved".into(), &1.0.into()));
     assert_eq!(said["crop"]["width_px"], 300, "what is left out does not narrow the crop");
-    // A frame that is left out is not the reference, unless it is named as such.
+    // An excluded frame is not the reference, unless it is chosen as such.
     let automatic = folder.line("align w2.jpg w3.jpg w4.jpg --json").done();
     let best = report(&automatic.stdout)["reference"].as_str().expect("a name").to_owned();
     let without = folder.line(&format!("align w2.jpg w3.jpg w4.jpg --leave-out {best} --json")).done();
@@ -82,7 +82,7 @@ fn frames_are_left_out_or_left_unmoved_by_name() {
     }
 }
 
-/// The small bracket and its transforms `t.json`, of which `change` makes others for `w2.jpg`.
+/// The small bracket and its transforms `t.json`, in which `change` modifies the entry of `w2.jpg`.
 fn with_place(change: impl Fn(&mut Value)) -> Folder {
     let folder = Folder::with_bracket();
     folder.line("align w2.jpg w3.jpg w4.jpg --reference 2 --transforms t.json").done();
@@ -118,7 +118,7 @@ fn small_overlap_is_a_warning_and_none_an_error() {
 
 #[test]
 fn rejection_in_transforms_is_warned_of_unless_it_is_the_users() {
-    // By hand, without a confidence.
+    // Written by hand, without a confidence.
     let folder = with_place(|frame| {
         *frame = serde_json::json!({ "file": "w2.jpg", "status": "rejected", "homography": null, "reason": "a bird" });
     });
@@ -126,7 +126,7 @@ fn rejection_in_transforms_is_warned_of_unless_it_is_the_users() {
     assert_eq!(run.code, 3, "{run:?}");
     assert!(run.stderr.contains("w2.jpg: rejected: a bird"), "{run:?}");
     assert_eq!(frame(&report(&run.stdout), "w2.jpg")["rejected_by"], "alignment");
-    // What the user excludes is in the file as that, and stays so.
+    // Frames excluded by the user are recorded in the file, and stay excluded.
     let folder = Folder::with_bracket();
     let line = "align w2.jpg w3.jpg w4.jpg --reference 2 --transforms t.json --json --strict";
     for line in [&format!("{line} --leave-out w2.jpg"), line] {

@@ -1,9 +1,9 @@
-//! What cannot be done is refused: the file and the remedy on stderr, the right code, nothing on stdout, nothing left behind.
+//! Errors: file and remedy on stderr, the right exit code, nothing on stdout, no files.
 
 use crate::support::{Folder, jpeg, small, small_jpeg};
 use std::fs;
 
-/// Runs `line` in `folder`, and holds what every refusal has in common; `said` are parts of the message.
+/// Runs `line` in `folder`, and checks what all errors have in common; `said` are parts of the message.
 fn refused(folder: &Folder, line: &str, code: i32, said: &[&str]) {
     let before = folder.listing();
     let run = folder.line(line);
@@ -29,7 +29,7 @@ fn a_missing_file_is_named() {
 fn a_truncated_jpeg_is_named_and_to_be_copied_again() {
     let folder = Folder::with_bracket();
     let whole = small_jpeg(2);
-    // Halfway through, near the end of the picture, and in the headers before it.
+    // Truncated in the middle, near the end of the picture, and in the headers.
     for length in [whole.len() / 2, whole.len() * 9 / 10, 300] {
         folder.put("cut.jpg", &whole[..length]);
         refused(&folder, "merge w1.jpg cut.jpg -o a.exr -o a.png", 1, &["cut.jpg", "JPEG", "copy the file again"]);
@@ -102,7 +102,7 @@ fn an_output_in_no_folder_is_refused_before_any_work() {
     // One remedy, not two.
     let run = folder.line(&format!("{bad} none/a.png"));
     assert!(!run.stderr.contains("the space left"), "{}", run.stderr);
-    // Work has not begun: the photographs, of which one is missing, have not been looked at.
+    // No work was done: the photographs, one of which is missing, were not read.
     refused(&folder, "merge w1.jpg gone.jpg -o none/a.png", 1, &["none/a.png"]);
 }
 
@@ -114,7 +114,7 @@ fn a_folder_that_cannot_be_written_is_named() {
     let locked = folder.at("locked");
     fs::create_dir(&locked).expect("a folder");
     fs::set_permissions(&locked, fs::Permissions::from_mode(0o555)).expect("permissions");
-    // For root every folder can be written; then there is nothing to see here, and the test before this one has seen the rest.
+    // Root can write to every folder; then this test has nothing to check, and the previous one covers the rest.
     if fs::write(locked.join("probe"), "").is_err() {
         refused(&folder, "merge w2.jpg w3.jpg -o a.exr -o locked/a.png", 1, &["locked/a.png", "permissions"]);
         assert_eq!(fs::read_dir(&locked).expect("the folder").count(), 0);
@@ -202,7 +202,7 @@ fn options_with_values_that_cannot_be_used_are_wrong_usage() {
     }
 }
 
-/// `merge *.jpg` for the second time names the results of the first.
+/// The second `merge *.jpg` also names the results of the first.
 #[test]
 fn results_are_no_photographs() {
     let folder = Folder::with_bracket();

@@ -1,4 +1,4 @@
-//! `response`, response files, and exposures: what the files say, what the pixels say, and which of them is believed.
+//! `response`, response files and exposures: EXIF, estimates from the pixels, and which of them is used.
 
 use crate::support::{FRAMES, Folder, small, small_jpeg, window};
 use serde_json::Value;
@@ -8,7 +8,7 @@ fn json(text: &str) -> Value {
     serde_json::from_str(text).unwrap_or_else(|e| panic!("{e}: {text}"))
 }
 
-/// Two brackets in folders of their own.
+/// Two brackets, each in its own folder.
 fn two_brackets() -> Folder {
     let folder = Folder::empty();
     for name in ["night", "church"] {
@@ -40,7 +40,7 @@ fn folders_are_brackets_and_all_files_asked_for_are_there() {
     assert!(svg.contains("code value") && svg.contains("2 brackets"));
     let plot = image::open(folder.at("c.png")).expect("a picture");
     assert!(plot.width() > 800);
-    // hdrgen's: a degree and one more coefficient than it, three times.
+    // hdrgen's format: a degree and one more coefficient than it, three times.
     let rsp = String::from_utf8(folder.bytes("c.rsp")).expect("text");
     for line in rsp.lines() {
         let numbers: Vec<f64> = line.split(' ').map(|w| w.parse().expect("a number")).collect();
@@ -97,7 +97,7 @@ fn what_cannot_be_leaves_nothing_behind() {
     refused("response night -o c.txt", 2, ".json, .rsp, .csv");
     refused("response night -o c.json --plot c.pdf", 2, ".svg, .png");
     refused("response night church --leave-out nobody.jpg -o c.json", 2, "none of the brackets");
-    // Equal exposures of one scene tell nothing.
+    // Equal exposures of one scene do not determine a response.
     fs::create_dir(folder.at("night/flat")).expect("a folder");
     for name in ["a", "b"] {
         image::RgbImage::from_pixel(64, 48, image::Rgb([90, 90, 90]))
@@ -127,7 +127,7 @@ fn a_file_that_is_no_response_is_named_with_the_remedy() {
 fn a_curve_that_cannot_be_had_is_reported_before_any_work() {
     let folder = Folder::with_bracket();
     folder.put("bad.json", b"{}");
-    // The photographs, of which one is missing, have not been looked at.
+    // The photographs, one of which is missing, were not read.
     for file in ["bad.json", "none.json"] {
         let run = folder.line(&format!("merge w2.jpg gone.jpg --response {file} -o a.hdr"));
         assert!(run.code == 1 && run.stderr.contains(file) && !run.stderr.contains("gone.jpg"), "{run:?}");
@@ -149,7 +149,7 @@ fn the_curve_of_another_camera_is_used_and_doubted() {
     let run = folder.line(&format!("{merge} --response other.json --strict"));
     let said = ["warning: other.json", "Acme One", saved["camera_model"].as_str().unwrap_or("?")];
     assert!(run.code == 3 && said.iter().all(|words| run.stderr.contains(words)), "{run:?}");
-    // Who does not say whose it is, is believed.
+    // A file without camera is accepted.
     (other["camera_make"], other["camera_model"]) = (Value::Null, Value::Null);
     folder.put("nobody.json", other.to_string().as_bytes());
     folder.line(&format!("{merge} --response nobody.json --strict")).done();
@@ -172,7 +172,7 @@ fn exposures_given_in_the_wrong_order_are_used_and_doubted() {
 #[test]
 fn a_frame_whose_exposure_is_written_wrong_is_corrected_and_the_report_says_so() {
     let folder = Folder::empty();
-    // PNG has no EXIF here: the exposures are estimated, and then tuned. JPEGs keep theirs, which are exact.
+    // PNG has no EXIF here: the exposures are estimated, and then corrected. JPEGs keep theirs, which are exact.
     for i in 1..=FRAMES {
         folder.put(&format!("{i}.jpg"), &fs::read(window(i)).expect("a frame"));
         small(i).save(folder.at(format!("{i}.png"))).expect("a picture");
@@ -190,7 +190,7 @@ fn a_frame_whose_exposure_is_written_wrong_is_corrected_and_the_report_says_so()
     let guessed = frames("merge 1.png 2.png 3.png 4.png 5.png --exposures as-given -o b.hdr --json");
     let tuned = frames("merge 1.png 2.png 3.png 4.png 5.png -o c.hdr --json");
     assert!(guessed.iter().all(|(_, correction)| *correction == 0.0));
-    // Steps of exactly two stops: how far they are from being alike.
+    // Steps of exactly two stops: their largest difference.
     let uneven = |frames: &[(f64, f64)]| {
         let steps: Vec<f64> = frames.windows(2).map(|w| w[1].0 - w[0].0).collect();
         let mean = steps.iter().sum::<f64>() / steps.len() as f64;
@@ -202,17 +202,17 @@ fn a_frame_whose_exposure_is_written_wrong_is_corrected_and_the_report_says_so()
     }
 }
 
-/// A response that is another camera's is told of where it is used.
+/// Using the response of another camera gives a warning.
 #[test]
 fn a_response_that_misses_the_photographs_is_reported_of() {
     let folder = Folder::with_bracket();
     let merge = "merge w1.jpg w2.jpg w3.jpg w4.jpg w5.jpg --align none --exposures as-given --json --force -o a.exr";
     let report = |options: &str| json(&folder.line(&format!("{merge} {options}")).done().stdout);
     let said = |report: &Value| report["warnings"].to_string();
-    // Merged with a curve that is found, saved and used again there is nothing to say.
+    // Merging with the curve that was recovered from the same frames and saved gives no warning.
     report("--save-response own.json");
     assert!(!said(&report("--response own.json")).contains("contradict"));
-    // A linear curve is not this camera's.
+    // A linear curve is not that of this camera.
     folder.put("other.rsp", "1 1 0\n".repeat(3).as_bytes());
     let contradicted = said(&report("--response other.rsp"));
     assert!(contradicted.contains("other.rsp") && contradicted.contains("contradict this response"), "{contradicted}");
@@ -220,7 +220,8 @@ fn a_response_that_misses_the_photographs_is_reported_of() {
     assert_eq!(strict.code, 3, "{}", strict.stderr);
 }
 
-/// Dark codes weigh next to nothing and are many: what a polynomial misses there is in the radiance, though not in the curve's residual.
+/// Dark codes have very small weights and are many: the errors of a polynomial there are in the radiance, although
+/// not in the residual of the curve.
 #[test]
 fn what_a_polynomial_loses_is_what_radiance_is_off_by() {
     let folder = Folder::with_bracket();
@@ -245,7 +246,8 @@ fn what_a_polynomial_loses_is_what_radiance_is_off_by() {
             (squares / own.pixels.as_slice().len() as f64).sqrt()
         };
         let luminance = |p: &[f32; 3]| f64::from(0.2126 * p[0] + 0.7152 * p[1] + 0.0722 * p[2]);
-        // Of 16384 pixels; the squares of a few per cent of them make up the sum: to some per cent, and the rounding of two decimals.
+        // Of 16384 pixels; a few per cent of them dominate the sum of squares: accurate to some per cent, plus the
+        // rounding to two decimals.
         for (after, is) in [("is off by ", off(&luminance)), ("blue ", off(&|p| f64::from(p[2])))] {
             assert!((number(after) - is).abs() < 0.1 * is + 0.005, "{frames}: {after}{} told of {is}", number(after));
         }

@@ -1,4 +1,4 @@
-//! `hdralign completions` and `hdralign man`: made of the same definitions as the options.
+//! `hdralign completions` and `hdralign man`, which are generated from the definitions of the options.
 
 use crate::support::Folder;
 use std::collections::BTreeSet;

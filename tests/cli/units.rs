@@ -1,4 +1,4 @@
-//! Units and colour spaces of what `merge` writes, through the binary and the files.
+//! Units and colour spaces of the files that `merge` writes, through the program.
 
 use crate::support::{FRAMES, Folder, jpeg_with, ratio, small};
 use exif::{Tag, Value as Exif};
@@ -33,7 +33,7 @@ fn a_factor_makes_cd_m2_in_every_format() {
     assert_eq!(map("a.tif").1.cd_m2_per_unit, Some(Factor::ONE));
     assert!(map("a.tif").0.pixels == radiance.pixels);
     let luminance = |p: [f32; 3]| f64::from(0.2126 * p[0] + 0.7152 * p[1] + 0.0722 * p[2]);
-    // A mantissa is cut to 1/128 of the largest at most: half of that is what the middle is off by.
+    // A mantissa is truncated to 1/128 of the largest at most: its middle is wrong by half of that.
     let watts = map("a.hdr").0;
     for (cd, w) in radiance.pixels.as_slice().iter().zip(watts.pixels.as_slice()) {
         assert!((179.0 * luminance(*w) / luminance(*cd) - 1.0).abs() < 0.02, "{cd:?} {w:?}");
@@ -66,7 +66,7 @@ fn the_camera_tells_the_luminance_where_exif_does() {
     }
     let run = folder.line("merge -e=-2,0,2 p2.png p3.png p4.png --absolute -o b.exr");
     assert!(run.code == 2 && run.stderr.contains("the EXIF has no exposure time and f-number and ISO"), "{run:?}");
-    // Before alignment, which would fail: nothing agrees with the picture turned over.
+    // Before alignment, which would fail because the rotated picture shows another scene.
     image::imageops::rotate180(&small(3)).save(folder.at("turned.png")).unwrap();
     let run = folder.line("merge -e=-2,0 p2.png turned.png --absolute -o b.exr");
     assert!(run.code == 2 && run.stderr.contains("--absolute"), "{run:?}");
@@ -75,7 +75,8 @@ fn the_camera_tells_the_luminance_where_exif_does() {
     assert!(!folder.at("b.exr").exists());
 }
 
-/// A camera prints 1/30 s for 1/32 s, and its shutter is off by a tenth of a stop: whichever frame is the reference, the scene is as bright.
+/// A camera records 1/30 s for 1/32 s, and its shutter has an error of a tenth of a stop: the brightness of the scene
+/// is the same for any reference.
 #[test]
 fn luminance_is_the_same_whichever_frame_is_the_reference() {
     let folder = Folder::empty();
@@ -87,7 +88,7 @@ fn luminance_is_the_same_whichever_frame_is_the_reference() {
         ];
         folder.put(name, &jpeg_with(&small(i), &exif));
     };
-    // Printed numbers, which stand for 1/128, 1/32 and 1/8 s; and measured ones, of which the middle one is wrong.
+    // Recorded numbers for 1/128, 1/32 and 1/8 s; and measured ones, of which the middle one is wrong.
     for (i, printed, measured) in [(2, 125, 128_000), (3, 30, 34_300), (4, 8, 8_000)] {
         shot(&format!("printed{i}.jpg"), i, 1, printed);
         shot(&format!("measured{i}.jpg"), i, 1000, measured);
@@ -149,7 +150,7 @@ fn other_colour_spaces_are_the_same_light_and_say_which_they_are() {
         assert!((id.is_empty() || has(id)) && has("chromaticities"), "{name}");
         let header = String::from_utf8_lossy(&folder.bytes("c.hdr")[..600]).into_owned();
         assert!(header.contains(&format!("PRIMARIES= {:.4} {:.4}", primaries.red[0], primaries.red[1])), "{header}");
-        // The picture is sRGB whatever the radiance is.
+        // The picture is sRGB for any colour space of the radiance.
         let picture = |name: &str| image::open(folder.at(name)).unwrap().to_rgb8();
         let (kept, converted) = (picture("keep.png"), picture("c.png"));
         let far = kept.as_raw().iter().zip(converted.as_raw()).filter(|(a, b)| a.abs_diff(**b) > 1);

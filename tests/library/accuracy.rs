@@ -1,4 +1,4 @@
-//! How near the truth: alignment and radiance of `testdata/window`, whose motion and radiance are known.
+//! Accuracy of alignment and radiance on `testdata/window`, whose motion and radiance are known.
 
 use hdralign::align::{AlignMode, AlignOptions, Status};
 use hdralign::bracket::{LoadOptions, ReferenceChoice};
@@ -12,7 +12,7 @@ type Matrix = [[f64; 3]; 3];
 
 const WIDTH: usize = 1200;
 const HEIGHT: usize = 800;
-/// Pixels of the bracket for each of `truth.hdr`, along each side.
+/// Pixels of the bracket per pixel of `truth.hdr`, along each side.
 const QUARTER: usize = 4;
 
 fn file(name: &str) -> PathBuf {
@@ -23,7 +23,7 @@ fn truth() -> Value {
     serde_json::from_slice(&fs::read(file("truth.json")).expect("truth.json")).expect("JSON")
 }
 
-/// The homography of the photograph called `name`.
+/// The true homography of the photograph `name`.
 fn true_homography(name: &str) -> Matrix {
     let truth = truth();
     let frames = truth["frames"].as_array().expect("frames");
@@ -46,7 +46,7 @@ fn merged(mode: AlignMode) -> Outcome {
     pipeline::develop(&images, &options, &pipeline::unwatched).expect("a merge")
 }
 
-/// By default, but for the reference, which is the truth's, and no crop; run once.
+/// Default options, except for the reference, which is that of the truth, and no crop; computed once.
 fn by_default() -> &'static Outcome {
     static OUTCOME: OnceLock<Outcome> = OnceLock::new();
     OUTCOME.get_or_init(|| merged(AlignMode::Auto))
@@ -57,7 +57,7 @@ fn apply(m: &Matrix, x: f64, y: f64) -> [f64; 2] {
     [row(&m[0]) / row(&m[2]), row(&m[1]) / row(&m[2])]
 }
 
-/// How far a frame is from its true place, in pixels.
+/// The alignment error of a frame, in pixels.
 #[derive(Debug)]
 struct Misplaced {
     name: String,
@@ -68,11 +68,11 @@ struct Misplaced {
     corner: f64,
     /// At the centre.
     centre: f64,
-    /// What the program says itself.
+    /// The error that the program reports.
     stated: Option<f64>,
 }
 
-/// All frames but the reference.
+/// All frames except the reference.
 fn misplaced(outcome: &Outcome) -> Vec<Misplaced> {
     let mut found = Vec::new();
     for frame in &outcome.report.frames {
@@ -110,9 +110,10 @@ fn misplaced(outcome: &Outcome) -> Vec<Misplaced> {
     found
 }
 
-/// Measured: means of 0.037, 0.019, 0.019 and 0.034 px. The limit of 0.06 leaves room for another tuning of the search, none for a
-/// lost refinement: bitmaps alone are over 1 px off here, features alone 0.15 to 0.24 px. A corner is extrapolated from the tiles
-/// within: at worst 0.15 px, and a homography that turns about the wrong point shows there first.
+/// Measured: means of 0.037, 0.019, 0.019 and 0.034 px. The limit of 0.06 allows for another tuning of the search,
+/// but not for a missing refinement: bitmaps alone have errors over 1 px here, features alone 0.15 to 0.24 px.
+/// Corners are extrapolated from the tiles inside, with errors up to 0.15 px; a homography with a wrong centre of
+/// rotation has larger errors there.
 #[test]
 fn every_frame_is_placed_to_well_under_a_tenth_of_a_pixel() {
     for frame in misplaced(by_default()) {
@@ -120,8 +121,8 @@ fn every_frame_is_placed_to_well_under_a_tenth_of_a_pixel() {
     }
 }
 
-/// Measured: the true rms over the picture is 0.7 to 1.0 of what is stated. To state too little would mislead, so there the factor
-/// is 1.5; to state too much costs only a look at a good picture: 3.
+/// Measured: the true rms over the picture is 0.7 to 1.0 of the reported one. Reporting too little would mislead, so
+/// the factor is 1.5; reporting too much only makes users check a good picture: 3.
 #[test]
 fn the_stated_error_is_honest() {
     for frame in misplaced(by_default()) {
@@ -130,8 +131,9 @@ fn the_stated_error_is_honest() {
     }
 }
 
-/// Shift and rotation cannot follow the perspective, which is 5 to 10 px at these corners; at the centre it is the best compromise,
-/// searched in whole pixels. Measured: 0.44 to 0.74 px; half a pixel each way is 0.71, and the compromise takes its part.
+/// Shift and rotation cannot represent the perspective, which is 5 to 10 px at these corners; at the centre they are
+/// the best compromise, searched in whole pixels. Measured: 0.44 to 0.74 px; half a pixel in both directions is 0.71,
+/// and the rest is the compromise.
 #[test]
 fn bitmaps_alone_find_the_centre() {
     for frame in misplaced(&merged(AlignMode::Mtb)) {
@@ -154,7 +156,8 @@ fn true_radiance() -> Vec<[f32; 3]> {
     picture.pixels().map(|p| p.0).collect()
 }
 
-/// Logarithms to base 2 of ours over the truth, for luminances of 4 x 4 pixels that some frame exposes well.
+/// Base-2 logarithms of our radiance relative to the truth, for luminances of 4 x 4 pixels that are well exposed in
+/// some frame.
 fn stops_off() -> Vec<f64> {
     let pixels = &by_default().radiance.pixels;
     assert_eq!((pixels.width(), pixels.height()), (WIDTH, HEIGHT));
@@ -163,12 +166,13 @@ fn stops_off() -> Vec<f64> {
     let mut stops = Vec::new();
     for (k, wanted) in true_radiance().iter().enumerate() {
         let (x, y) = (k % (WIDTH / QUARTER), k / (WIDTH / QUARTER));
-        // Two blocks from the border some frames do not reach.
+        // Some frames do not cover the two blocks at the border.
         if x < 8 || y < 8 || x + 8 >= WIDTH / QUARTER || y + 8 >= HEIGHT / QUARTER {
             continue;
         }
         let wanted = wanted.map(f64::from);
-        // Between a fiftieth of the range of the longest exposure and most of that of the shortest: inside that some frame sees it.
+        // Between a fiftieth of the range of the longest exposure and most of that of the shortest, some frame is
+        // well exposed.
         let exposure = |seconds: f64| wanted.map(|l| l * seconds / saturation);
         if exposure(0.5).iter().any(|&x| x < 0.02) || exposure(1.0 / 512.0).iter().any(|&x| x > 0.8) {
             continue;
@@ -185,8 +189,9 @@ fn stops_off() -> Vec<f64> {
     stops
 }
 
-/// Measured: 0.0159 stops rms over 48 981 blocks, 1 % of them beyond -0.043 and 1 % beyond 0.047. 0.03 is nearly twice that, for the
-/// noise and the response's last digits to change with another tuning; it is three times stricter than the 0.1 stops asked for.
+/// Measured: 0.0159 stops rms over 48 981 blocks, 1 % of them beyond -0.043 and 1 % beyond 0.047. 0.03 is nearly
+/// twice that, to allow for other noise and another tuning of the response; it is three times stricter than the
+/// required 0.1 stops.
 #[test]
 fn radiance_is_the_truth_but_for_one_scale() {
     let mut stops = stops_off();

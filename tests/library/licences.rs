@@ -1,6 +1,6 @@
-//! Every crate that the program is built from, and on what terms: docs/reference/licences.md says so, and this holds it to the truth.
+//! The crates of the program and their licences: docs/reference/licences.md lists them, and this test checks it.
 //!
-//! `HDRALIGN_BLESS=1 cargo test --test library licences` writes the page anew.
+//! `HDRALIGN_BLESS=1 cargo test --test library licences` writes the page again.
 
 #![cfg(all(target_os = "linux", target_arch = "x86_64"))]
 
@@ -10,7 +10,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-/// Terms that ask for no more than to name the authors. deny.toml has the same list.
+/// Licences that require no more than to name the authors. deny.toml has the same list.
 const FINE: [&str; 7] = ["MIT", "Apache-2.0", "BSD-2-Clause", "BSD-3-Clause", "Zlib", "Unicode-3.0", "IJG"];
 
 const PAGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/reference/licences.md");
@@ -29,8 +29,7 @@ The program also holds a part of the font DejaVu Sans Condensed 2.37, for the te
 |---|---|---|
 ";
 
-/// Name, version and licence of every crate that is compiled for the program, with the features that it is built with: what tests alone need
-/// is left out.
+/// Name, version and licence of every crate that is compiled for the program, without those of tests.
 fn crates() -> BTreeSet<[String; 3]> {
     let output = Command::new(std::env::var_os("CARGO").unwrap_or("cargo".into()))
         .args(["tree", "--locked", "--offline", "--edges", "normal,build", "--target", "x86_64-unknown-linux-gnu"])

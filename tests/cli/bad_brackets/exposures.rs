@@ -1,4 +1,4 @@
-//! Exposures that are missing, equal, reversed, impossible; photographs that are there twice.
+//! Missing, equal, reversed and impossible exposures; copies of photographs.
 
 use super::*;
 
@@ -11,12 +11,12 @@ fn stops(merged: &Merged, a: &str, b: &str) -> f64 {
     libm::log2(relative(merged, b) / relative(merged, a))
 }
 
-/// Where the exposures of `files` are from.
+/// The sources of the exposures of `files`.
 fn sources<'a>(merged: &'a Merged, files: &[&str]) -> Vec<&'a str> {
     files.iter().map(|file| merged.frame(file)["exposure_source"].as_str().expect("a text")).collect()
 }
 
-/// The frames 2, 3 and 4, two stops apart, with the EXIF of those of `exif`.
+/// The frames 2, 3 and 4, two stops apart, with the EXIF of the frames `exif`.
 fn window(folder: &Folder, exif: [usize; 3]) -> String {
     exposed(folder, &[(&frame(2), exif[0]), (&frame(3), exif[1]), (&frame(4), exif[2])])
 }
@@ -30,14 +30,14 @@ fn exif_that_is_reversed_or_equal_is_not_used() {
         assert!(merged.warns(true, &["contradict the pixels", "estimated", "-e"]), "{:?}", merged.warnings());
         for (a, b) in [("f1.jpg", "f2.jpg"), ("f2.jpg", "f3.jpg")] {
             let seen = stops(&merged, a, b);
-            // The estimate is right to some tenths of a stop.
+            // The estimate is accurate to some tenths of a stop.
             assert!((seen - 2.0).abs() < 0.4, "{a} {b}: {seen}");
         }
         assert_eq!(strict(&folder, &names), 3);
     }
 }
 
-/// A time of 0, of infinity, or none at all, in one frame of three.
+/// A time of 0, of infinity, or none, in one frame of three.
 #[test]
 fn exif_that_is_missing_or_impossible_in_one_frame_is_estimated() {
     for odd in [timed(&frame(4), 0, 1), timed(&frame(4), 1, 0), timed(&frame(4), 0, 0), jpeg(&frame(4), None)] {
@@ -51,7 +51,7 @@ fn exif_that_is_missing_or_impossible_in_one_frame_is_estimated() {
     }
 }
 
-/// One frame's time is a million times what it was, or a millionth.
+/// The time of one frame is wrong by a factor of a million.
 #[test]
 fn exif_that_is_off_by_a_million_is_not_used() {
     for (num, denom) in [(125_000, 1), (1, 8_000_000)] {
@@ -77,7 +77,7 @@ fn exif_that_is_off_by_a_stop_is_corrected_in_part_and_reported() {
     assert_eq!(merged.frame("f3.jpg")["exposure_source"], "exif");
 }
 
-/// The user's word is taken, with a warning where it cannot be; and whatever it is, radiance is light.
+/// Exposures given by the user are used, with a warning if they are impossible; radiance is always valid.
 #[test]
 fn what_the_user_says_is_done_and_doubted() {
     let folder = Folder::empty();
@@ -97,7 +97,8 @@ fn what_the_user_says_is_done_and_doubted() {
     }
 }
 
-/// Under two names, with one exposure: the same light, as good as one of them, and a warning.
+/// A copy under another name, with the same exposure: the same radiance, no more accurate than one of them, and a
+/// warning.
 #[test]
 fn a_copy_adds_nothing_and_is_reported() {
     let folder = Folder::empty();
@@ -114,7 +115,7 @@ fn a_copy_adds_nothing_and_is_reported() {
     assert_eq!(strict(&folder, &names), 3);
 }
 
-/// One photograph that claims two exposures: it is one exposure, so that the radiance is that of the frame by itself.
+/// One photograph with two different exposures counts as one exposure: the radiance is that of the single frame.
 #[test]
 fn a_copy_with_another_exposure_is_one_exposure() {
     let (one, two) = (Folder::empty(), Folder::empty());
@@ -127,7 +128,7 @@ fn a_copy_with_another_exposure_is_one_exposure() {
     assert_eq!(strict(&two, &names), 3);
 }
 
-/// Among others it does not spoil their steps.
+/// Such a copy among other frames does not affect their exposures.
 #[test]
 fn a_copy_among_others_has_the_exposure_of_its_pixels() {
     let folder = Folder::empty();
@@ -139,7 +140,7 @@ fn a_copy_among_others_has_the_exposure_of_its_pixels() {
     assert!((stops(&merged, "f1.jpg", "f2.jpg") - 2.0).abs() < 0.6, "{}", stops(&merged, "f1.jpg", "f2.jpg"));
 }
 
-/// A frame of another scene that is too dark for its exposure: the two that agree are believed, and merged as by themselves.
+/// A frame of another scene that is too dark for its exposure: the two that agree are used, and merged as without it.
 #[test]
 fn one_frame_that_is_at_odds_does_not_affect_the_others() {
     let folder = Folder::empty();
@@ -158,7 +159,7 @@ fn equal_frames_without_exif_are_asked_for_exposures() {
     refused(&folder, &names, &["f1.png", "no usable exposure", "equally bright", "-e"]);
 }
 
-/// Nothing but one frame is neither black nor burnt out: there is nothing to merge.
+/// All frames except one are black or clipped: there is nothing to merge.
 #[test]
 fn all_but_one_clipped_or_black_is_refused() {
     let (white, black) = (RgbImage::from_pixel(300, 200, Rgb([255; 3])), RgbImage::new(300, 200));
@@ -172,13 +173,13 @@ fn all_but_one_clipped_or_black_is_refused() {
         let names = exposed(&folder, &pictures);
         let reference = format!("f{}.jpg", 1 + pictures.iter().position(|p| p.1 == 3).expect("the middle"));
         refused(&folder, &names, &[&format!("{reference}: no other frame could be aligned"), "--align none"]);
-        // From a tripod they are what they say: nothing, and too much.
+        // From a tripod they are merged: black, and clipped.
         let lain = merged(&folder, &format!("{names} --align none"));
         assert_eq!(lain.report["crop"]["width_px"], 300);
     }
 }
 
-/// Beside two that are good, one that is blank is left out.
+/// One blank frame with two good ones is rejected.
 #[test]
 fn a_blank_frame_beside_good_ones_is_left_out() {
     for (blank, at) in [(0, 1), (255, 5)] {
@@ -192,12 +193,13 @@ fn a_blank_frame_beside_good_ones_is_left_out() {
     }
 }
 
-/// The lamp is 2000 times as bright as what the middle frame holds: only a frame that is black but for it shows how bright.
+/// The lamp is 2000 times as bright as white in the middle frame: only a frame that is black except for the lamp
+/// shows its brightness.
 #[test]
 fn a_black_frame_of_a_still_camera_is_assumed_and_has_the_lamp() {
     let picture = frame(4);
     let is_lamp = |x: u32, y: u32| x.abs_diff(90) < 8 && y.abs_diff(60) < 8;
-    // The picture's codes stand for a room of radiance 0 to 1.
+    // The codes of the picture are a room with radiance 0 to 1.
     let code = |radiance: f64| (255.0 * radiance.min(1.0).powf(1.0 / 2.2) + 0.5) as u8;
     let taken = |time: f64| {
         RgbImage::from_fn(300, 200, |x, y| {
@@ -212,17 +214,17 @@ fn a_black_frame_of_a_still_camera_is_assumed_and_has_the_lamp() {
     }
     let names = "f0.jpg f1.jpg f2.jpg f3.jpg";
     let found = merged(&folder, &format!("{names} --response-model srgb --strict"));
-    // By its own tile, or by the others.
+    // Aligned by its own tile, or assumed from the others.
     let status = found.status("f0.jpg");
     assert!(["assumed", "unmoved"].contains(&status), "{status}");
-    // The room's shortest frame clips at 4.
+    // The shortest frame of the room clips at 4.
     let brightest = |merged: &Merged| merged.radiance.iter().map(|p| p[1]).fold(0.0, f32::max);
     let without = merged(&folder, &format!("{names} --response-model srgb --leave-out f0.jpg"));
     let factor = brightest(&found) / brightest(&without);
     assert!((factor / 250.0 - 1.0).abs() < 0.3, "{factor}");
 }
 
-/// `picture` with a light of the camera's own on what is near.
+/// `picture` with the light of the camera's flash on near objects.
 fn lit(mut picture: RgbImage) -> RgbImage {
     for (x, y, pixel) in picture.enumerate_pixels_mut() {
         let near = libm::exp(-((f64::from(x) - 150.0).powi(2) + (f64::from(y) - 100.0).powi(2)) / 8000.0);
@@ -279,7 +281,7 @@ fn flash_frame_is_merged_where_the_user_insists_or_too_few_are_left() {
 
 #[test]
 fn exif_one_frame_wrong_only_that_frame_is_estimated() {
-    // Of each of four frames in turn the time is wrong: far too long, or far too short.
+    // In each of four frames the time is wrong: far too long, or far too short.
     let times = [(1, 512), (1, 128), (1, 32), (1, 8)];
     for odd in 0..4 {
         for factor in [(4000, 1), (1, 4000)] {

@@ -1,4 +1,4 @@
-//! Files of other kinds among the photographs, and files that are not what their names say.
+//! Files of other kinds among the photographs, and files with wrong names.
 
 use super::*;
 use crate::support::small_jpeg;
@@ -7,7 +7,7 @@ use image::codecs::png::PngEncoder;
 use image::{DynamicImage, ExtendedColorType, ImageBuffer, ImageEncoder, ImageFormat};
 use img_parts::ImageICC;
 
-/// The frames 2 and 3 as JPEGs, and `third` under a name of its own.
+/// The frames 2 and 3 as JPEGs, and `third` under its own name.
 fn with_third(third: &[u8], name: &str) -> (Folder, String) {
     let folder = Folder::empty();
     folder.put("f1.jpg", small_jpeg(2));
@@ -16,7 +16,7 @@ fn with_third(third: &[u8], name: &str) -> (Folder, String) {
     (folder, format!("f1.jpg f2.jpg {name}"))
 }
 
-/// Merged with the third, which is placed where frame 4 lies, and known to be what it is.
+/// Merges with the third, which must be aligned like frame 4.
 fn taken(third: Vec<u8>, name: &str, options: &str) -> Merged {
     let (folder, names) = with_third(&third, name);
     let merged = merged(&folder, &format!("{names} {options} --reference f2.jpg"));
@@ -73,7 +73,7 @@ fn a_frame_of_16_bit_goes_with_ones_of_8() {
     );
 }
 
-/// A bracket has no background to be laid over: what is there is taken, transparent or not.
+/// There is no background, so alpha is ignored and the colour of transparent pixels is used.
 #[test]
 fn transparency_is_no_matter() {
     let mut holed = colour(4).to_rgba8();
@@ -86,7 +86,7 @@ fn transparency_is_no_matter() {
     assert_eq!(holed.radiance, opaque.radiance);
 }
 
-/// PNG by the `png` crate, for kinds that `image` does not write.
+/// Encodes PNG with the `png` crate, for kinds that `image` does not write.
 fn packed(
     kind: png::ColorType,
     depth: png::BitDepth,
@@ -106,7 +106,7 @@ fn packed(
 
 #[test]
 fn a_palette_is_looked_up() {
-    // Six levels of each channel: coarse, but the scene.
+    // Six levels of each channel: coarse, but enough for alignment.
     let palette: Vec<u8> = (0..216u32).flat_map(|i| [i / 36, i / 6 % 6, i % 6].map(|v| (51 * v) as u8)).collect();
     let level = |v: u8| (u32::from(v) + 25) / 51;
     let rows: Vec<u8> =
@@ -115,7 +115,8 @@ fn a_palette_is_looked_up() {
     taken(file, "f3.png", "-e=-2,0,2");
 }
 
-/// Two tones have neither exposure nor place; the frame is placed or left out, and the others are good.
+/// Two tones determine neither exposure nor alignment; the frame is aligned or rejected, and the others are not
+/// affected.
 #[test]
 fn a_frame_of_one_bit_affects_nothing() {
     let grey = colour(4).to_luma8();
@@ -133,7 +134,7 @@ fn a_frame_of_one_bit_affects_nothing() {
     }
 }
 
-/// CMYK as Adobe writes it, inverted, without a profile: light is what the inks leave.
+/// CMYK as Adobe writes it, inverted, without a profile: light is what the inks do not absorb.
 #[test]
 fn a_cmyk_jpeg_is_taken_to_rgb() {
     let inks: Vec<u8> = frame(4).pixels().flat_map(|p| [255 - p.0[0], 255 - p.0[1], 255 - p.0[2], 0]).collect();
@@ -161,7 +162,7 @@ fn another_profile_is_reported_and_a_damaged_one_ignored() {
     assert!(merged.warns(false, &["f3.jpg: its colour profile is damaged and was ignored"]), "{:?}", merged.warnings());
 }
 
-/// Turned pixels with an EXIF that says so are upright; the same pixels with the same EXIF are not.
+/// Rotated pixels with the EXIF orientation for it are upright; unrotated pixels with the same EXIF are not.
 #[test]
 fn the_exif_orientation_counts() {
     let oriented = |picture: &RgbImage, orientation: u8| {
@@ -170,7 +171,7 @@ fn the_exif_orientation_counts() {
             .exif()
             .expect("EXIF")
             .to_vec();
-        // The entry of the tag 0x0112: a short, one of it, in the byte order of the block.
+        // The entry of the tag 0x0112: one short integer, in the byte order of the block.
         let is_little = exif.starts_with(b"II");
         let entry: [u8; 8] = if is_little { [0x12, 1, 3, 0, 1, 0, 0, 0] } else { [1, 0x12, 0, 3, 0, 0, 0, 1] };
         let at = exif.windows(8).position(|w| w == entry).expect("an orientation");
@@ -188,7 +189,8 @@ fn the_exif_orientation_counts() {
 
 #[test]
 fn an_interlaced_png_is_read() {
-    // Adam7 by hand: seven smaller pictures after one another, which the `png` crate reads but does not write.
+    // Adam7, written by hand: seven smaller pictures one after the other, which the `png` crate reads but does not
+    // write.
     let picture = frame(4);
     let passes = [(0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2)];
     let mut rows = Vec::new();
@@ -232,7 +234,7 @@ fn what_is_no_picture_is_named() {
     }
 }
 
-/// Thumbnails, films and notes behind the picture do no harm.
+/// Thumbnails, films and notes after the picture have no effect.
 #[test]
 fn what_follows_the_picture_is_no_matter() {
     let file = [small_jpeg(4), &b"and a film".repeat(1000)[..]].concat();

@@ -1,21 +1,21 @@
-//! A night's folders with bad brackets among good ones: each has its line, and nothing stops the others.
+//! A batch with bad brackets among good ones: each is reported, and none stops the others.
 
 use super::*;
 use image::imageops;
 use std::fs;
 
-/// What becomes of a folder.
+/// The outcome for a folder.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Outcome {
     Done,
     Doubtful,
     Failed,
-    /// It holds no two photographs that go together.
+    /// It does not contain two photographs that belong together.
     LeftOver,
 }
 use Outcome::{Done, Doubtful, Failed, LeftOver};
 
-/// Frames 2 to 4 are of 1/128, 1/32 and 1/8 s.
+/// Frames 2 to 4 have exposures of 1/128, 1/32 and 1/8 s.
 fn dated(picture: &RgbImage, i: usize) -> Vec<u8> {
     timed(picture, 1, [128, 32, 8][i - 2])
 }
@@ -78,7 +78,7 @@ fn a_night_of_bad_brackets_does_the_good_ones_and_tells_of_each() {
         assert_eq!(step["degraded"], *outcome == Doubtful, "{step}");
         assert!(line.contains(if is_done { ",done," } else { ",failed," }), "{line}");
         assert_eq!(files, if is_done { [1, 1] } else { [0, 0] }, "{name}");
-        // At the end, each with its reason.
+        // At the end each is listed with its reason.
         let told = match outcome {
             Failed => step["error"]
                 .as_str()

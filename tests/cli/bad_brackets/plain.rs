@@ -1,8 +1,8 @@
-//! Frames that show nothing: black, white, one colour, noise, checkerboards.
+//! Frames without detail: black, white, one colour, noise, checkerboards.
 
 use super::*;
 
-/// Nothing to align by: merged as they lie, doubtful, and the picture is what the frames show.
+/// Without detail the frames are merged without alignment, with a warning, and the picture has their colour.
 fn one_tone(colours: [[u8; 3]; 3]) -> Merged {
     let folder = Folder::empty();
     let frames = colours.map(flat);
@@ -38,14 +38,15 @@ fn an_all_white_bracket_is_white() {
 
 #[test]
 fn a_bracket_of_one_colour_has_that_colour() {
-    // Two stops apart by sRGB's curve: a card as three exposures show it. The reference shows it as the picture does.
+    // A card at exposures two stops apart, with sRGB's curve. The picture has the colour of the reference.
     let merged = one_tone([[53, 33, 14], [105, 69, 35], [199, 136, 76]]);
     let shown = merged.picture.get_pixel(0, 0).0;
-    // Exposures are not the camera's own steps, and JPEG rounds: within 6 codes of the reference.
+    // Exposures are not exactly two stops apart, and JPEG rounds: within 6 codes of the reference.
     assert!((0..3).all(|c| shown[c].abs_diff([105, 69, 35][c]) <= 6), "{shown:?}");
 }
 
-/// The same pixels at three exposures cannot be: they are one exposure, and the radiance that of one frame.
+/// The same pixels at three exposures are impossible: they count as one exposure, and the radiance is that of one
+/// frame.
 #[test]
 fn one_colour_at_every_exposure_is_one_exposure() {
     let merged = one_tone([[128; 3]; 3]);
@@ -102,8 +103,8 @@ fn checkerboard(side: u32, most: u8) -> RgbImage {
     RgbImage::from_fn(120, 80, |x, y| Rgb([if (x / side + y / side).is_multiple_of(2) { most / 8 } else { most }; 3]))
 }
 
-/// Its place is known up to its period: where it lies is as good as any, and the exposures stay as they are said to be. Two codes to a frame
-/// tell no steps.
+/// Its position is known only up to its period, so any is accepted, and EXIF is used. Two codes per frame do not
+/// determine exposures.
 #[test]
 fn a_checkerboard_stays_where_it_is() {
     let folder = Folder::empty();
@@ -116,7 +117,7 @@ fn a_checkerboard_stays_where_it_is() {
     }
 }
 
-/// Of squares of a pixel every second place is right, and no level below the full size shows them.
+/// With squares of one pixel every second position is right, and no level below full size shows them.
 #[test]
 fn a_checkerboard_of_pixels_is_refused_and_merged_where_it_is_said_to_lie() {
     let folder = Folder::empty();

@@ -1,10 +1,10 @@
-//! Frames that are not of one scene, or not as the others lie: strays, mirrored, turned, enlarged ones, and what moves.
+//! Frames of different scenes; mirrored, rotated and enlarged frames; motion.
 
 use super::*;
 use image::imageops::{self, FilterType};
 
-/// Two good frames and one that is none: it is left out, with little confidence and a reason, whichever would be the reference, and the others
-/// lie as they do by themselves.
+/// Two good frames and a wrong one: it is rejected, with low confidence and a reason, for any choice of the
+/// reference, and the others are aligned as without it.
 fn stray_is_left_out(stray: &RgbImage, exif: usize) {
     let alone = {
         let folder = Folder::empty();
@@ -45,7 +45,7 @@ fn a_frame_of_another_zoom_is_left_out() {
     stray_is_left_out(&imageops::crop_imm(&large, 225, 150, 300, 200).to_image(), 4);
 }
 
-/// 15 % closer is what a hand or a lens that breathes may do: aligned.
+/// 15 % closer is possible by hand or with focus breathing: aligned.
 #[test]
 fn a_frame_a_little_closer_is_aligned() {
     let folder = Folder::empty();
@@ -72,7 +72,7 @@ fn a_frame_turned_by_90_degrees_is_left_out_or_of_another_size() {
     refused(&folder, &names, &["f3.jpg", "200x300", "f1.jpg", "300x200", "the same size"]);
 }
 
-/// All of different scenes: nothing can be merged, and the choice of the reference does not help.
+/// All frames show different scenes: nothing can be merged, with any reference.
 #[test]
 fn frames_of_different_scenes_are_refused() {
     let folder = Folder::empty();
@@ -83,7 +83,7 @@ fn frames_of_different_scenes_are_refused() {
     refused(&folder, two, &["no other frame could be aligned"]);
 }
 
-/// Two of five are of another scene, and one of them sees the most: the three are merged.
+/// Two of five frames show another scene, and one of them has the most usable pixels: the three are merged.
 #[test]
 fn the_scene_of_most_frames_is_merged() {
     let folder = Folder::empty();
@@ -97,7 +97,7 @@ fn the_scene_of_most_frames_is_merged() {
     }
 }
 
-/// A reference that the user names stays, stray or not.
+/// A reference chosen by the user is kept, even if it is wrong.
 #[test]
 fn the_users_reference_is_not_exchanged() {
     let folder = Folder::empty();
@@ -105,7 +105,7 @@ fn the_users_reference_is_not_exchanged() {
     refused(&folder, &format!("{names} --reference f3.jpg"), &["f3.jpg: no other frame could be aligned to it"]);
 }
 
-/// The middle of the picture is another in each frame: the rest says how it moved.
+/// The middle of the picture is different in each frame: the rest determines the motion.
 #[test]
 fn a_middle_that_is_another_in_each_frame_does_not_lead() {
     let (good, bad) = (Folder::empty(), Folder::empty());
@@ -124,7 +124,7 @@ fn a_middle_that_is_another_in_each_frame_does_not_lead() {
         let merged = merged(&bad, &format!("{names} --reference f3.jpg {options}"));
         for file in ["f1.jpg", "f2.jpg"] {
             assert_eq!(merged.status(file), "aligned", "{file} {options}");
-            // The true motion is 3 to 5 pixels; half of the tiles know it.
+            // The true motion is 3 to 5 pixels; half of the tiles show it.
             let off = apart(&merged, &truth, file);
             assert!(off < 1.0, "{file} {options}: {off}");
         }

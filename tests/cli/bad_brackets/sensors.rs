@@ -1,15 +1,15 @@
-//! Frames that the camera spoilt: dead rows and columns, hot pixels, shutters and flashes, noise.
+//! Frames with defects of the camera: dead rows and columns, hot pixels, shutter and flash, noise.
 
 use super::*;
 
-/// The bracket as it is, against which the spoilt one is held; the reference is the third.
+/// The bracket without defects, for comparison; the reference is the third.
 fn truth() -> Merged {
     let folder = Folder::empty();
     let names = exposed(&folder, &[(&frame(2), 2), (&frame(3), 3), (&frame(4), 4)]);
     merged(&folder, &format!("{names} --reference f3.jpg"))
 }
 
-/// The same with `spoilt` frames: all are placed where they truly lie, to within `most` pixels in every corner.
+/// The same with `spoilt` frames: all are aligned correctly, to within `most` pixels in every corner.
 fn places_hold(spoilt: impl Fn(&mut RgbImage, usize), most: f64, least_confidence: f64) -> Merged {
     let folder = Folder::empty();
     let frames: Vec<RgbImage> = (2..=4)
@@ -46,7 +46,8 @@ fn a_dead_row_or_column_does_not_lead() {
     );
 }
 
-/// On the sensor they stay where they are while the hand moves by three to five pixels: 0 would be their answer.
+/// Hot pixels stay at their position on the sensor while the camera moves by three to five pixels: alone they would
+/// give no motion.
 #[test]
 fn hot_pixels_do_not_lead() {
     let hot = |picture: &mut RgbImage, _| {
@@ -59,7 +60,7 @@ fn hot_pixels_do_not_lead() {
     let merged = places_hold(hot, 0.4, 0.8);
     let moved = merged.frame("f1.jpg")["alignment"]["shift_px"][1].as_f64().expect("a number");
     assert!(moved.abs() > 3.0, "{moved}");
-    // The same by night, when little else is bright.
+    // The same at night, when little else is bright.
     let folder = Folder::empty();
     let frames: Vec<RgbImage> = (2..=4)
         .map(|i| {
@@ -75,7 +76,7 @@ fn hot_pixels_do_not_lead() {
     }
 }
 
-/// A shutter or a flash that left half of a frame black: where that half is placed, the other frames show what it does not.
+/// A shutter or flash left half of a frame black: if that frame is aligned, the other frames fill the black half.
 #[test]
 fn a_half_black_frame_affects_nothing() {
     let folder = Folder::empty();
@@ -92,7 +93,8 @@ fn a_half_black_frame_affects_nothing() {
     assert!(mean > 50.0, "the lower half is dark: {mean}");
 }
 
-/// A very noisy night: placed within three pixels, in the farthest corner, or left out; never elsewhere in confidence.
+/// A very noisy night: aligned within three pixels in the farthest corner, or rejected; never wrong with high
+/// confidence.
 #[test]
 fn a_noisy_night_is_placed_or_doubted() {
     for most in [10.0, 25.0, 60.0] {
@@ -117,7 +119,7 @@ fn a_noisy_night_is_placed_or_doubted() {
     }
 }
 
-/// Two still frames of one exposure with their own noise have less of it together.
+/// Two static frames of one exposure with different noise give less noise together.
 #[test]
 fn noise_is_less_in_two_frames_than_in_one() {
     let folder = Folder::empty();
@@ -142,6 +144,6 @@ fn noise_is_less_in_two_frames_than_in_one() {
         (logs.iter().sum::<f64>() / logs.len() as f64).sqrt()
     };
     let (one, two) = (error(&twice), error(&both));
-    // Independent noise: by the root of two, 0.71, in the ideal.
+    // Independent noise is reduced by the root of two, to 0.71, at best.
     assert!(two < 0.8 * one, "{two} is not less than {one}");
 }

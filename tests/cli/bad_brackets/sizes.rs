@@ -1,4 +1,4 @@
-//! Very small, very narrow, very wide pictures; very few frames, and very many.
+//! Very small, narrow and wide pictures; very few and very many frames.
 
 use super::*;
 use image::imageops;
@@ -8,7 +8,7 @@ fn piece(i: usize, width: u32, height: u32) -> RgbImage {
     imageops::crop_imm(&frame(i), 120, 60, width, height).to_image()
 }
 
-/// Too small to show how they moved: merged as they lie, with a warning.
+/// Too small to determine the motion: merged without alignment, with a warning.
 #[test]
 fn the_smallest_pictures_are_merged_as_they_lie() {
     for (width, height) in
@@ -27,7 +27,7 @@ fn the_smallest_pictures_are_merged_as_they_lie() {
     }
 }
 
-/// A strip `width` pixels long, with something to see along it.
+/// A strip of `width` pixels, with detail along it.
 fn strip(width: u32, height: u32, light: f64) -> RgbImage {
     RgbImage::from_fn(width, height, |x, y| {
         let (u, v) = (f64::from(x), f64::from(y));
@@ -36,7 +36,8 @@ fn strip(width: u32, height: u32, light: f64) -> RgbImage {
     })
 }
 
-/// As long as a side can be in JPEG, and longer; a search over 15 % of the long side both ways would take gigabytes.
+/// The longest side of a JPEG, and longer; a search over 15 % of the long side in both directions would need
+/// gigabytes.
 #[test]
 fn strips_as_long_as_can_be_are_merged() {
     for (width, height) in [(65_500, 4), (65_535, 4), (70_000, 4), (4, 65_536)] {
@@ -55,7 +56,7 @@ fn strips_as_long_as_can_be_are_merged() {
     }
 }
 
-/// What JPEG cannot hold is refused before the long work, or at least by name, and nothing is left.
+/// A picture that is too large for JPEG is an error that names the file, and no file is left.
 #[test]
 fn a_jpeg_of_a_longer_side_is_refused() {
     let folder = Folder::empty();
@@ -67,7 +68,7 @@ fn a_jpeg_of_a_longer_side_is_refused() {
     assert_eq!(folder.listing(), before);
 }
 
-/// A slit camera's picture, long and of some height, seen three pixels farther on in the second frame.
+/// A picture of a slit camera, long and not too narrow, moved by three pixels in the second frame.
 #[test]
 fn a_long_picture_is_searched_in_seconds() {
     let folder = Folder::empty();

@@ -1,4 +1,4 @@
-//! A batch that is run again: what is whole is left alone, and nothing that is not ours is touched.
+//! Repeated batches: complete results are kept, and files of others are not changed.
 
 use super::{card, counts, refused, results};
 use crate::support::Folder;
@@ -12,25 +12,25 @@ fn what_is_unchanged_is_not_done_again_by_content_and_not_by_date() {
     let paths = card(&folder, 3);
     folder.line("batch in -d out -q").done();
     let first = results(&folder);
-    // Copied: another date, the same bytes. And a new name for the folder.
+    // A copy: another date, the same bytes. And a new name of the folder.
     let copied = fs::read(&paths[0][0]).unwrap();
     fs::write(&paths[0][0], copied).unwrap();
     folder.line("batch in -d out -q").done();
     assert_eq!(counts(&folder), [0, 3, 0, 0]);
-    // One photograph changes: its bracket alone is done again.
+    // One photograph changes: only its bracket is merged again.
     let mut bytes = fs::read(&paths[1][0]).unwrap();
     bytes.extend(b"behind the picture");
     fs::write(&paths[1][0], bytes).unwrap();
     folder.line("batch in -d out -q").done();
     assert_eq!(counts(&folder), [1, 2, 0, 0]);
-    // An option changes: all are, in the place of the older ones.
+    // An option changes: all are merged again, and replace the previous results.
     folder.line("batch in -d out -q --weight gaussian").done();
     assert_eq!(counts(&folder), [3, 0, 0, 0]);
     assert!(results(&folder) != first);
-    // --force does all again.
+    // --force merges all again.
     folder.line("batch in -d out -q --weight gaussian --force").done();
     assert_eq!(counts(&folder), [3, 0, 0, 0]);
-    // How it is done is no option of what is done.
+    // Options for resources do not affect the results.
     folder.line("batch in -d out -q --weight gaussian --jobs 1 --threads 1 --max-memory 100MB").done();
     assert_eq!(counts(&folder), [0, 3, 0, 0]);
 }
@@ -52,7 +52,7 @@ fn a_result_that_somebody_changed_is_kept() {
     assert_ne!(folder.bytes(picture), b"retouched");
 }
 
-/// A card that was formatted begins with IMG_0001 again.
+/// A formatted card starts with IMG_0001 again.
 #[test]
 fn photographs_of_the_same_names_do_not_take_the_place_of_others() {
     let folder = Folder::empty();
@@ -69,7 +69,7 @@ fn photographs_of_the_same_names_do_not_take_the_place_of_others() {
     assert!(results(&folder) != first);
 }
 
-/// A bracket that lost a frame to damage still looks like one: it does not take the place of what the whole one gave.
+/// A bracket that lost a frame by damage is still a bracket, but does not replace the result of the complete one.
 #[test]
 fn a_damaged_frame_does_not_make_a_good_result_worse() {
     let folder = Folder::empty();
@@ -82,7 +82,7 @@ fn a_damaged_frame_does_not_make_a_good_result_worse() {
     let said = run.stderr.split_whitespace().collect::<Vec<_>>().join(" ");
     assert!(said.contains("unreadable") && said.contains("IMG_0002.JPG, which exists"), "{said}");
     assert!(results(&folder) == first);
-    // Taken away, it is missed by nobody.
+    // If it is removed, no bracket uses it.
     fs::remove_file(&paths[0][1]).unwrap();
     folder.line("batch in -d out -q").done();
     assert_eq!(counts(&folder), [1, 1, 0, 0]);
@@ -102,7 +102,7 @@ fn a_file_that_was_there_before_is_kept() {
     assert_eq!(folder.bytes("out/a/IMG_0004-IMG_0006.json"), b"{}");
 }
 
-/// A user may have files of the names that summaries have.
+/// A user may have files with the names of summaries.
 #[test]
 fn summary_of_somebody_else_is_kept_and_nothing_is_done() {
     let folder = Folder::empty();
@@ -131,7 +131,7 @@ fn summary_of_somebody_else_is_kept_and_nothing_is_done() {
     folder.put("out/batch.csv", b"mine");
     folder.line("batch in -d out -q --force").done();
     assert_eq!(counts(&folder), [1, 0, 0, 0]);
-    // From now on both are ours.
+    // Now both are results of hdralign.
     folder.line("batch in -d out -q").done();
     assert_eq!(counts(&folder), [0, 1, 0, 0]);
 }
@@ -165,7 +165,7 @@ fn bracket_with_the_name_of_the_summary_gets_another() {
     }
 }
 
-/// Killed between two names, a job has a report and not all of its results: the next run knows them for its own.
+/// After a kill between two renames, a job has a report and not all results: the next run recognises them as its own.
 #[test]
 fn what_was_interrupted_is_ended() {
     let folder = Folder::empty();
@@ -180,7 +180,8 @@ fn what_was_interrupted_is_ended() {
     assert_eq!(counts(&folder), [1, 0, 0, 0]);
     assert!(results(&folder) == first, "the rest of the killed run is taken away");
 
-    // Killed after the report of a second run, with other options, had its name: the results are still those of the first.
+    // Killed after the report of a second run with other options was renamed: the results are still those of the
+    // first run.
     folder.line("batch in -d out -q --weight gaussian").done();
     let (second, report) = (results(&folder), folder.bytes(&name("json")));
     for (path, bytes) in &first {
@@ -192,7 +193,7 @@ fn what_was_interrupted_is_ended() {
     assert!(report != folder.bytes(&name("json")), "it has another time");
 }
 
-/// Results beside the photographs are no photographs of the next run.
+/// Results beside the photographs are not used as photographs in the next run.
 #[test]
 fn results_beside_the_photographs_are_not_taken_for_some() {
     let folder = Folder::empty();
@@ -205,7 +206,7 @@ fn results_beside_the_photographs_are_not_taken_for_some() {
         (counts["done"].as_u64(), counts["unchanged"].as_u64(), reasons)
     };
     assert_eq!(batch(""), (Some(2), Some(0), vec![]));
-    // A folder for results is not searched, unless it is the one to be searched.
+    // A folder for results is not searched, unless it is given as a folder to search.
     for options in ["", "-d in", "-d a/../in/."] {
         fs::create_dir_all(folder.at("a")).unwrap();
         let (done, unchanged, reasons) = batch(options);

@@ -1,4 +1,4 @@
-//! A batch that is stopped: by Ctrl-C, and by a kill that nothing can hear.
+//! Stopped batches: by Ctrl-C, and by SIGKILL.
 
 #![cfg(unix)]
 
@@ -11,7 +11,7 @@ use std::time::Duration;
 
 const BRACKETS: usize = 12;
 
-/// A batch of one job that goes on.
+/// A batch that runs one job at a time.
 const BATCH: &str = "batch in -d out --jobs 1 --threads 1";
 
 /// Waits until so many brackets are done, or the batch has ended.
@@ -44,7 +44,7 @@ fn ctrl_c_ends_what_has_begun_and_a_kill_loses_nothing_that_was_whole() {
     folder.line("batch in -d out -q").done();
     let whole = results(&folder);
 
-    // A batch that is quicker than the look at its folder is begun again.
+    // If the batch ended before it was observed, it is started again.
     let code = (0..10).find_map(|_| {
         fs::remove_dir_all(folder.at("out")).unwrap();
         let mut child = begin(&folder, BATCH);
@@ -72,7 +72,7 @@ fn ctrl_c_ends_what_has_begun_and_a_kill_loses_nothing_that_was_whole() {
 
     folder.line("batch in -d out -q").done();
     let [did, unchanged, ..] = counts(&folder);
-    // The job that was being named when it was killed may have been whole but for one name.
+    // The job that was renaming files when it was killed may have been complete except for one file.
     assert!(did + unchanged == BRACKETS as u64 && unchanged + 1 >= had, "{unchanged} of {had} were left alone");
     assert!(results(&folder) == whole);
     assert_eq!(hidden(&folder), 0);

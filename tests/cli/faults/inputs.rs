@@ -1,4 +1,4 @@
-//! Photographs that are none, cannot be read to their end, or have names that are hard to handle.
+//! Files that are not photographs, cannot be read completely, or have unusual names.
 
 use super::{FRAMES, bracket, fails, shell, unnamed};
 use crate::support::Folder;
@@ -33,7 +33,7 @@ fn what_is_no_photograph_is_named_for_what_it_is() {
         ("w2.jpg/x.jpg", "Not a directory"),
     ] {
         for line in ["merge -o a.exr", "align", "inspect -d look", "response -o r.json"] {
-            // To response a folder is a bracket, which has another answer.
+            // For response a folder is a bracket, which has another message.
             if line.starts_with("response") && (name == "d.jpg" || name.contains('/')) {
                 continue;
             }
@@ -57,7 +57,7 @@ fn a_pipe_is_a_photograph_when_somebody_writes_it() {
     assert_eq!(run.code, 0, "{run:?}");
     folder.line("merge w2.jpg w3.jpg -q -o b.exr").done();
     assert!(folder.bytes("a.exr") == folder.bytes("b.exr"));
-    // Nobody does: whoever waits can be told to end.
+    // No process writes: the waiting program can be ended by a signal.
     let script = "$H merge w2.jpg p.jpg -q -o c.exr & sleep 0.5; kill $!; wait $!";
     fails(&folder, script, 143, &["no incomplete files were left"]);
 }
@@ -70,11 +70,11 @@ fn a_panic_of_a_decoder_is_not_printed() {
     fs::copy(fixture, folder.at("damaged.exr")).expect("a copy");
     let run = shell(&folder, "RUST_BACKTRACE=1 $H tonemap damaged.exr -o a.png");
     assert!(!run.stderr.contains("panicked") && !run.stderr.contains(".rs:"), "{run:?}");
-    // Without the checks its blocks are read, as damaged as they are.
+    // Without overflow checks its damaged blocks are read.
     assert!(run.code == 0 || run.code == 1 && run.stderr.contains("damaged.exr: "), "{run:?}");
 }
 
-/// /proc/self/mem opens like a file and fails when it is read, as a damaged card does.
+/// /proc/self/mem can be opened like a file and fails when it is read, like a damaged card.
 #[test]
 #[cfg_attr(not(target_os = "linux"), ignore = "needs /proc/self/mem")]
 fn a_file_that_fails_while_it_is_read_is_named() {
@@ -91,10 +91,11 @@ fn a_file_that_fails_while_it_is_read_is_named() {
 fn a_file_that_may_not_be_read_is_named() {
     let folder = bracket();
     let allow = |path: &Path, mode| fs::set_permissions(path, Permissions::from_mode(mode)).expect("permissions");
-    // Root may do everything, and so is nobody here, who may not reach the program where it is built.
+    // Root may read everything, so the test runs as nobody, who may have no access to the program's folder.
     let elsewhere = Folder::empty();
     let program = elsewhere.at("hdralign");
-    // Copied by another process: those that tests start meanwhile have this one's open files, and what is open for writing cannot be run.
+    // Copied by another process, because processes that tests start in the meantime inherit open files, and a file
+    // that is open for writing cannot be executed.
     let copied = Command::new("cp").args([crate::support::program(), program.clone()]).status().expect("cp");
     assert!(copied.success());
     allow(elsewhere.path(), 0o755);
@@ -111,7 +112,7 @@ fn a_file_that_may_not_be_read_is_named() {
     allow(folder.path(), 0o755);
 }
 
-/// Names that shells, JSON, CSV and terminals take for something else.
+/// Names with a meaning for shells, JSON, CSV and terminals.
 const ODD: [&[u8]; 12] = [
     b"a b",
     b"new\nline",
@@ -127,7 +128,7 @@ const ODD: [&[u8]; 12] = [
     b"CON:|<>",
 ];
 
-/// `name` and `ending`, in one.
+/// Joins `name` and `ending`.
 fn odd(name: &[u8], ending: &str) -> OsString {
     OsString::from_vec([name, ending.as_bytes()].concat())
 }
@@ -163,12 +164,12 @@ fn names_of_any_bytes_go_in_and_out() {
         folder.run(["tonemap".into(), with(".exr"), "-q".into(), "-o".into(), with(".png")]).done();
         folder.run(["compare".into(), with(".exr"), with(".exr")]).done();
     }
-    // By themselves too, where they do not look like an option.
+    // Also without folder, if they do not look like an option.
     folder.run(["merge", "--", "-lead1.jpg", "-lead2.jpg"]).done();
     assert!(folder.at("-lead1--lead2.exr").is_file() && unnamed(folder.path()) == 0);
 }
 
-/// Folders of such names: the summary stays JSON and CSV, and a second run knows what is done.
+/// Folders with such names: the summary is valid JSON and CSV, and a second run recognises the results.
 #[test]
 fn a_batch_takes_folders_of_any_name() {
     let folder = Folder::empty();
@@ -188,7 +189,7 @@ fn a_batch_takes_folders_of_any_name() {
     assert_eq!((count, counts["done"].as_u64()), (ODD.len(), Some(ODD.len() as u64)));
     folder.line("batch in -d out -q --by-folder --formats png").done();
     assert_eq!(rows(&folder).1["unchanged"].as_u64(), Some(ODD.len() as u64));
-    // A plan is UTF-8: what is not is told, and not planned wrongly.
+    // A plan is UTF-8: other names are reported, and not planned wrongly.
     let plan = folder.line("batch in -d again --by-folder --formats png --plan");
     assert!(plan.code == 3 && plan.stdout.lines().count() == ODD.len() - 1, "{plan:?}");
     assert!(plan.stdout.lines().all(|line| serde_json::from_str::<Value>(line).is_ok()));

@@ -8,7 +8,7 @@ use crate::support::card::Card;
 fn few_open_files_are_enough_and_fewer_are_reported() {
     let folder = bracket();
     let outputs = "-o a.exr -o a.png -o a.jpg -o a.tif -o a.hdr";
-    // Photographs are read one after the other: of two at a time the second would be the one that fails.
+    // Photographs are read one after the other, so that the error is always for the same file.
     fails(
         &folder,
         &format!("ulimit -n 6; $H merge {FRAMES} -q --threads 1 {outputs}"),
@@ -17,7 +17,7 @@ fn few_open_files_are_enough_and_fewer_are_reported() {
     );
     let run = shell(&folder, &format!("ulimit -n 24; $H merge {FRAMES} -q {outputs}"));
     assert_eq!(run.code, 0, "{run:?}");
-    // Complete files that wait for their names need not all be open.
+    // Complete files that wait to be renamed need not all be open.
     let run = shell(&folder, &format!("ulimit -n 24; $H inspect {FRAMES} -q -d look"));
     assert_eq!((run.code, unnamed(folder.path())), (0, 0), "{run:?}");
     assert!(std::fs::read_dir(folder.at("look")).expect("a folder").count() > 24);
@@ -27,14 +27,14 @@ fn few_open_files_are_enough_and_fewer_are_reported() {
     assert_eq!((run.code, unnamed(folder.path())), (0, 0), "{run:?}");
 }
 
-/// What refuses every thread after the first `started`, for a script, before `$H`.
+/// Returns a prefix for `$H` in a script that refuses every thread after the first `started`.
 fn refusing(started: usize) -> String {
     use std::sync::OnceLock;
     static LIBRARY: OnceLock<std::path::PathBuf> = OnceLock::new();
     let library = LIBRARY.get_or_init(|| {
         let source = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/cli/faults/refuse_threads.c");
         let library = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("refuse_threads.so");
-        // mimalloc is C too, and so there is a compiler.
+        // mimalloc is written in C, so there is a compiler.
         let compiler = std::env::var_os("CC").unwrap_or_else(|| "cc".into());
         let mut command = std::process::Command::new(compiler);
         let compiled = command.args(["-shared", "-fPIC", "-o"]).arg(&library).args([source, "-ldl"]).status();
@@ -44,7 +44,7 @@ fn refusing(started: usize) -> String {
     format!("REFUSE_AFTER={started} LD_PRELOAD={} ", library.display())
 }
 
-/// Threads are refused by their number: where memory runs out differs from machine to machine, and from moment to moment.
+/// Threads are refused by number, because memory limits have different effects on different machines.
 #[test]
 #[cfg_attr(not(all(target_os = "linux", target_env = "gnu")), ignore = "needs LD_PRELOAD and glibc")]
 fn threads_that_are_refused_are_an_error() {
@@ -52,7 +52,7 @@ fn threads_that_are_refused_are_an_error() {
     Card::new(64).brackets(2, 3, 2.0).write(&folder.at("in"));
     let said = ["threads could not be started", "--threads", "ulimit"];
     folder.line(&format!("merge {FRAMES} -q -o a.exr")).done();
-    // Where --threads is not given, too.
+    // Also without --threads.
     for line in [
         "merge w2.jpg w3.jpg -o b.exr",
         "align w2.jpg w3.jpg",
@@ -69,7 +69,7 @@ fn threads_that_are_refused_are_an_error() {
     }
 }
 
-/// Every thread in turn: one that the run needs is an error, and without any other one the result is the same.
+/// Each thread in turn: if the run needs it, there is an error; otherwise the result is the same.
 #[test]
 #[cfg_attr(not(all(target_os = "linux", target_env = "gnu")), ignore = "needs LD_PRELOAD and glibc")]
 fn refused_thread_is_an_error_or_changes_nothing() {
@@ -77,7 +77,7 @@ fn refused_thread_is_an_error_or_changes_nothing() {
     let line = format!("merge {FRAMES} -q --threads 3 -o a.exr -o a.png --report a.html --force");
     folder.line(&line).done();
     let (exr, png) = (folder.bytes("a.exr"), folder.bytes("a.png"));
-    // One hears signals, three compute; others bring files to the disk.
+    // One thread handles signals, three compute, others sync files.
     for started in 0..8 {
         if started < 4 {
             fails(&folder, &format!("{}$H {line}", refusing(started)), 1, &["3 threads could not be started"]);
@@ -89,7 +89,7 @@ fn refused_thread_is_an_error_or_changes_nothing() {
     }
 }
 
-/// A batch does what it can, and what is missing is done the next time.
+/// A batch does what is possible, and the rest in the next run.
 #[test]
 #[cfg_attr(not(all(target_os = "linux", target_env = "gnu")), ignore = "needs LD_PRELOAD and glibc")]
 fn batch_with_refused_threads_is_taken_up_again() {
@@ -105,14 +105,15 @@ fn batch_with_refused_threads_is_taken_up_again() {
     assert_eq!(shell(&folder, line).code, 0);
 }
 
-/// As deep as a path may be, which has 4,096 bytes. The search took 90 s of a processor when it resolved every folder from the root.
+/// As deep as a path may be, with 4,096 bytes. The search took 90 s of CPU time when it resolved every folder from
+/// the root.
 #[cfg(target_os = "linux")]
 #[test]
 fn deep_folders_are_searched_in_little_time() {
     let folder = Folder::empty();
     Card::new(64).brackets(1, 3, 2.0).write(&folder.at("in").join("d/".repeat(1900)));
     let run = shell(&folder, "ulimit -t 20; $H batch in --dry-run");
-    // Deeper than the temporary folder can be removed by itself.
+    // Too deep for removing the temporary folder in the usual way.
     shell(&folder, "rm -rf in");
     assert!(run.code == 0 && run.stdout.contains("1 bracket of 3 photographs"), "{}", run.code);
 }

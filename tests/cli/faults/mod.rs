@@ -1,5 +1,5 @@
-//! Faults of the machine, one after the other, through the binary: a clear message, the right exit code, nothing half under a final name,
-//! no temporary file left. docs/reference/faults.md is the table of them, and names these tests.
+//! Failures of the machine, through the program: a clear message, the right exit code, no incomplete file under a
+//! final name, no temporary file left. docs/reference/faults.md lists them with these tests.
 
 #![cfg(unix)]
 
@@ -16,7 +16,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::OnceLock;
 
-/// Three frames of 150 x 100 pixels, `w2.jpg` to `w4.jpg`: every run is a fraction of a second.
+/// Three frames of 150 x 100 pixels, `w2.jpg` to `w4.jpg`: every run takes a fraction of a second.
 fn bracket() -> Folder {
     static FILES: OnceLock<Vec<Vec<u8>>> = OnceLock::new();
     let tiny = |i: usize| jpeg(&shrink(&image::open(window(i)).expect("a frame").to_rgb8(), 8), Some(i));
@@ -31,7 +31,8 @@ fn bracket() -> Folder {
 /// Their names, for a command line.
 const FRAMES: &str = "w2.jpg w3.jpg w4.jpg";
 
-/// Runs `script` in `folder`, by sh; `$H` is the program. A signal that ends it is told as a shell does, by 128 and its number.
+/// Runs `script` in `folder` with sh; `$H` is the program. A signal that ends it is reported as in a shell: 128 plus
+/// its number.
 fn shell(folder: &Folder, script: &str) -> Run {
     let output = Command::new("sh")
         .args(["-c", script])
@@ -45,7 +46,8 @@ fn shell(folder: &Folder, script: &str) -> Run {
     Run { code, stdout: text(&output.stdout), stderr: text(&output.stderr) }
 }
 
-/// Runs `script`, and holds what every failure has in common: the exit code, a message with all of `said`, no panic, and nothing left behind or lost.
+/// Runs `script`, and checks what all failures have in common: the exit code, a message with all of `said`, no panic,
+/// and no file left or lost.
 fn fails(folder: &Folder, script: &str, code: i32, said: &[&str]) {
     let before = folder.listing();
     let run = shell(folder, script);
@@ -57,7 +59,7 @@ fn fails(folder: &Folder, script: &str, code: i32, said: &[&str]) {
     assert_eq!(folder.listing(), before, "{script}: something was left behind, or lost");
 }
 
-/// Temporary files below `folder`.
+/// Number of temporary files in `folder`.
 fn unnamed(folder: &Path) -> usize {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     let count = |entry: std::fs::DirEntry| match entry.file_type() {

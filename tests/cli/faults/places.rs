@@ -1,4 +1,4 @@
-//! Where results are asked to go: links, folders, devices, names that are too long, other disks.
+//! Paths of results: links, folders, devices, long names, other disks.
 
 use super::{FRAMES, bracket, fails, shell, unnamed};
 use crate::support::card::Card;
@@ -23,7 +23,7 @@ fn a_link_is_replaced_and_what_it_points_to_is_left() {
     }
     assert_eq!(folder.bytes("precious"), b"precious");
     assert!(!folder.at("nowhere").exists());
-    // But never onto a photograph that is read, by whatever name.
+    // But a photograph is never replaced, under any name.
     symlink("w2.jpg", folder.at("in.jpg")).expect("a link");
     for name in ["in.jpg", "./w2.jpg", "\"$PWD\"/w2.jpg"] {
         fails(&folder, &format!("$H merge {FRAMES} --force -o {name}"), 2, &["also an input file"]);
@@ -49,7 +49,7 @@ fn places_that_cannot_be_are_refused() {
         ("link.exr", 1, ""),
     ] {
         if name == "link.exr" {
-            // A link to a folder is a link: replaced when that is asked for, and the folder stays.
+            // A link to a folder is a link: it is replaced on request, and the folder is kept.
             fails(&folder, &format!("$H merge {FRAMES} -o {name}"), 1, &["exists already"]);
             continue;
         }
@@ -68,7 +68,7 @@ fn places_that_cannot_be_are_refused() {
     assert!(folder.at(longest).is_file());
 }
 
-/// Files are known by device and inode: by another name, as where cases are not told apart, and through another mount.
+/// Files are identified by device and inode: under another name, in another letter case, and through another mount.
 #[test]
 fn input_under_another_name_is_refused_by_the_option_that_names_it() {
     let folder = bracket();
@@ -123,7 +123,8 @@ fn batch_that_would_replace_a_photograph_is_refused_by_its_name_option() {
     assert!(fs::read(folder.at("in/IMG_0001.jpg")).expect("a photograph") == first);
 }
 
-/// Some file systems by FUSE know neither hard links nor renaming without replacement, and few have files without a name.
+/// Some FUSE file systems support neither hard links nor renaming without replacement, and few support files without
+/// a name.
 #[test]
 #[ignore = "filters system calls; .ci/run runs it where the system allows that"]
 fn file_system_that_lacks_links_or_more_is_written_to_all_the_same() {
@@ -145,7 +146,7 @@ fn file_system_that_lacks_links_or_more_is_written_to_all_the_same() {
     }
 }
 
-/// As those of private photographs.
+/// Permissions of private photographs.
 #[test]
 fn replaced_files_keep_their_permissions() {
     let folder = bracket();
@@ -156,7 +157,7 @@ fn replaced_files_keep_their_permissions() {
     set("a.exr", 0o600);
     folder.line(&format!("merge {FRAMES} -q -o a.exr --force")).done();
     assert_eq!(mode("a.exr"), 0o600);
-    // A golden picture keeps its own; a new one is no more public than what it is a copy of.
+    // A golden picture keeps its permissions; a new one has no more than the file that it copies.
     set("b.exr", 0o640);
     set("a.exr", 0o644);
     folder.line("compare b.exr a.exr -q --bless").done();
@@ -177,7 +178,7 @@ fn results_may_go_to_another_disk() {
     let line = format!("$H merge {FRAMES} -q -o here.exr -o {}", there.display());
     assert_eq!(shell(&folder, &line).code, 0);
     assert!(fs::read(&there).expect("a result") == folder.bytes("here.exr"));
-    // A link to a folder there is a folder, and the memory's overflow may be there as well.
+    // A link to a folder there is a folder, and may also contain the scratch file.
     symlink(other.path(), folder.at("link")).expect("a link");
     let line = format!("$H merge {FRAMES} -q --threads 16 --max-memory 64MB --scratch link -o link/b.exr -o again.exr");
     assert_eq!(shell(&folder, &line).code, 0);
@@ -185,12 +186,13 @@ fn results_may_go_to_another_disk() {
     assert_eq!(fs::read_dir(other.path()).expect("the folder").count(), 2);
 }
 
-/// It is taken away while the results are being made.
+/// The folder is removed while the results are written.
 #[test]
 fn a_folder_that_vanishes_is_named() {
     let folder = bracket();
     fs::create_dir(folder.at("sub")).expect("a folder");
-    // The first temporary file, with a name or without, shows that the work is nearly done; a quick run may win.
+    // The first temporary file, with or without a name, shows that the work is nearly done; a quick run may end
+    // first.
     let script = format!(
         "$H merge {FRAMES} -q --tmo fattal -o sub/a.jpg -o sub/a.exr -o sub/a.tif -o sub/a.png --report sub/a.html & \
          while kill -0 $! 2>/dev/null && [ -z \"$(ls -A sub)$(ls -l /proc/$!/fd 2>/dev/null | grep /sub/)\" ]; do :; done; rm -rf sub; wait $!"

@@ -1,6 +1,6 @@
-//! Signals at many moments of every command: all that was asked for, or nothing, and never a temporary file.
+//! Signals at many moments of every command: all results or none, and never a temporary file.
 //!
-//! `HDRALIGN_MOMENTS` says how many moments of each command; a dozen by default.
+//! `HDRALIGN_MOMENTS` is the number of moments for each command; a dozen by default.
 
 use super::{FRAMES, bracket, shell, unnamed};
 use crate::child::{begin, send};
@@ -13,7 +13,7 @@ fn moments() -> u32 {
     std::env::var("HDRALIGN_MOMENTS").ok().and_then(|text| text.parse().ok()).unwrap_or(12)
 }
 
-/// Sends a signal at moments from the begin to the end of `line`, which names the files `outputs`.
+/// Sends a signal at moments from the start to the end of `line`, which writes the files `outputs`.
 fn interrupted(folder: &Folder, line: &str, outputs: &[&str]) {
     let before = folder.listing();
     let clear = || {
@@ -39,10 +39,10 @@ fn interrupted(folder: &Folder, line: &str, outputs: &[&str]) {
         let end = child.wait().expect("its end");
         let there = outputs.iter().filter(|name| folder.at(name).exists()).count();
         let said = format!("{line}: {signal} at moment {i}: {end}, {there} files");
-        // Before the first line of it runs a signal acts as it always does.
+        // Before the program has installed its handlers, a signal has its default effect.
         let is_stopped = end.code() == Some(128 + number) || end.signal() == Some(number);
         assert!(is_stopped || end.success(), "{said}");
-        // One that comes when all is done is told by the exit code alone.
+        // A signal after the work is done affects only the exit code.
         assert!(there == outputs.len() || is_stopped && there == 0, "{said}");
         assert_eq!(unnamed(folder.path()), 0, "{said}");
         stopped += u32::from(there == 0);
@@ -78,7 +78,7 @@ fn inspect_leaves_all_or_nothing_of_its_folder() {
     interrupted(&bracket(), &format!("inspect {FRAMES} -d look"), &["look/tables.txt", "look/w2.threshold.png"]);
 }
 
-/// As by `nohup`, and as a shell does with what it runs in the background.
+/// As with `nohup`, and as a shell does for background processes.
 #[test]
 fn what_is_to_be_ignored_is_ignored() {
     let folder = bracket();
@@ -93,13 +93,13 @@ fn what_is_to_be_ignored_is_ignored() {
     assert!(folder.bytes("a0.exr") == folder.bytes("a1.exr"));
 }
 
-/// As where the system does not list what is ignored, macOS and the BSDs.
+/// As on systems that do not list ignored signals (macOS, BSD).
 #[test]
 #[ignore = "mounts over /proc; .ci/run runs it where the system allows that"]
 fn ignored_signals_are_found_without_a_list_of_them() {
     let folder = bracket();
-    // It waits for a photograph from a pipe, so that no signal is too late. What a shell runs in the background ignores INT by itself; under nohup it would
-    // ignore HUP, too.
+    // It waits for a photograph from a pipe, so that no signal is too late. Processes that a shell runs in the
+    // background ignore INT; with nohup also HUP.
     for (ignore, signal, code) in [("trap \"\" HUP", "HUP", 0), (":", "HUP", 129), (":", "INT", 0)] {
         let script = format!(
             "rm -f p.jpg; mkfifo p.jpg; unshare -rm env --default-signal=HUP sh -c 'mount -t tmpfs none /proc; {ignore}; \
@@ -112,7 +112,7 @@ fn ignored_signals_are_found_without_a_list_of_them() {
     }
 }
 
-/// A pause, and a pipe's signal, change nothing.
+/// Stopping and continuing, and SIGPIPE, change nothing.
 #[test]
 fn a_pause_changes_nothing() {
     let folder = bracket();
@@ -126,7 +126,7 @@ fn a_pause_changes_nothing() {
         send("CONT", &mut child);
     }
     let end = child.wait().expect("its end");
-    // The very first signal may come before the program has begun to ignore it.
+    // The very first signal may arrive before the program ignores it.
     assert!(end.success() || end.signal() == Some(13), "{end}");
     assert!(!end.success() || folder.bytes("a.exr") == folder.bytes("b.exr"));
     assert_eq!(unnamed(folder.path()), 0);
@@ -137,7 +137,7 @@ fn a_pause_changes_nothing() {
 fn a_batch_reported_twice_stops_at_once() {
     let folder = Folder::empty();
     crate::support::card::Card::new(300).brackets(6, 3, 2.0).write(&folder.at("in"));
-    // A batch that is quicker than the look at its folder is begun again.
+    // If the batch ended before it was observed, it is started again.
     let end = (0..10).find_map(|_| {
         let _ = fs::remove_dir_all(folder.at("out"));
         let mut child = begin(&folder, "batch in -d out -q --jobs 1 --threads 1");
@@ -150,7 +150,7 @@ fn a_batch_reported_twice_stops_at_once() {
         send("TERM", &mut child);
         Some(child.wait().expect("its end")).filter(|end| !end.success())
     });
-    // The step that had begun may have ended between the two.
+    // The running job may have ended between the two signals.
     assert!(end.is_some_and(|end| matches!(end.code(), Some(143 | 3))), "{end:?}");
     assert_eq!(unnamed(folder.path()), 0);
     folder.line("batch in -d out -q").done();

@@ -1,4 +1,4 @@
-//! stdout and stderr that are full, closed, or read by nobody.
+//! stdout and stderr that are full, closed, or have no reader.
 
 use super::{FRAMES, bracket, fails, shell};
 use crate::support::Folder;
@@ -45,7 +45,7 @@ fn a_reader_that_is_gone_and_a_closed_stdout_are_no_failure() {
     }
 }
 
-/// Nobody hears it: the work goes on, and the exit code is the same.
+/// Messages are lost, but the work continues, and the exit code is the same.
 #[test]
 #[cfg_attr(not(target_os = "linux"), ignore = "needs /dev/full")]
 fn what_nobody_can_be_reported_stops_nothing() {
@@ -54,7 +54,7 @@ fn what_nobody_can_be_reported_stops_nothing() {
     let heard = shell(&folder, &format!("$H merge {FRAMES} -v -o a.exr"));
     assert!(heard.code == 0 && heard.stderr.lines().count() > 6);
     for (i, to) in ["2>/dev/full", "2>&-", "2>gone", "2>/dev/null"].into_iter().enumerate() {
-        // A pipe whose reader is gone.
+        // A pipe without reader.
         let script = |line: &str| match to {
             "2>gone" => format!("exec 3>&1; {{ sleep 0.05; $H {line} 2>&1 >&3; echo $? >&3; }} | true"),
             _ => format!("$H {line} {to}; echo $?"),

@@ -1,4 +1,5 @@
-//! The plan of the house, held: layers, rivals, portable arithmetic, a silent library, short files. Read from the sources.
+//! Rules of the architecture: layers, independent alternatives, portable arithmetic, a silent library, short files.
+//! Checked in the sources.
 
 pub mod source;
 
@@ -35,7 +36,7 @@ const LAYERS: [&str; 26] = [
     "cli",
 ];
 
-/// Ways to do one thing, which know nothing of each other.
+/// Alternatives for the same task, which must not use each other.
 const RIVALS: [(&str, &[&str]); 5] = [
     ("align", &["bitmaps", "features"]),
     ("align::features", &["ransac", "lmeds"]),
@@ -47,7 +48,8 @@ const RIVALS: [(&str, &[&str]); 5] = [
 /// Most lines of a file.
 const MOST_LINES: usize = 500;
 
-/// What the platform's mathematical library computes, differently on each platform. sqrt, abs, floor, ceil and round are exact.
+/// Functions of the platform's mathematical library, whose results depend on the platform. sqrt, abs, floor, ceil and
+/// round are exact.
 const PLATFORM: [&str; 28] = [
     "ln", "ln_1p", "log", "log2", "log10", "exp", "exp2", "exp_m1", "powf", "powi", "sin", "cos", "tan", "sin_cos",
     "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "cbrt", "hypot", "mul_add",
@@ -58,7 +60,7 @@ fn is_program(source: &Source) -> bool {
     source.path == "src/main.rs" || source.module.first().is_some_and(|m| m == "cli")
 }
 
-/// Modules that are compiled for the tests alone, in files of their own.
+/// Modules that are compiled only for tests, in separate files.
 fn is_test(source: &Source) -> bool {
     source.module.iter().any(|m| m == "tests" || m == "scene")
 }
@@ -73,7 +75,7 @@ fn assert_none(offenders: Vec<String>, rule: &str) {
 
 fn against_layers(source: &Source) -> Vec<String> {
     let level = |name: &str| LAYERS.iter().position(|l| *l == name);
-    // The crate's root only lists the modules; main knows the command line alone.
+    // The crate's root only lists the modules; main uses only the command line.
     let own = match source.module.first() {
         Some(name) => match level(name) {
             Some(own) => own,
@@ -114,7 +116,7 @@ fn documented_layers_are_the_layers() {
     assert_eq!(named, LAYERS[..LAYERS.len() - 1], "src/lib.rs");
 }
 
-/// For each module with children, which child uses which other, and where first.
+/// For each module with children: which child uses which other, and where first.
 type Edges = BTreeMap<String, BTreeMap<(String, String), String>>;
 
 fn sibling_edges(sources: &[Source]) -> Edges {
@@ -126,7 +128,7 @@ fn sibling_edges(sources: &[Source]) -> Edges {
             if common == 0 || common == source.module.len() || common == path.len() {
                 continue;
             }
-            // What is no module is the parent's own.
+            // A path that is not a module belongs to the parent.
             if modules.contains(&path[..=common]) {
                 let edge = (source.module[common].clone(), path[common].clone());
                 let siblings = edges.entry(path[..common].join("::")).or_default();
@@ -137,7 +139,7 @@ fn sibling_edges(sources: &[Source]) -> Edges {
     edges
 }
 
-/// The siblings that `from` reaches, by the first way found.
+/// Returns the siblings that `from` reaches, with the first path found.
 fn reach(edges: &BTreeMap<(String, String), String>, from: &str) -> BTreeMap<String, Vec<String>> {
     let mut ways: BTreeMap<String, Vec<String>> = BTreeMap::new();
     let mut open = vec![vec![from.to_owned()]];
@@ -206,7 +208,7 @@ fn platform_calls(source: &Source) -> Vec<String> {
     let mut found = Vec::new();
     for name in PLATFORM {
         for form in [format!(".{name}("), format!("f32::{name}"), format!("f64::{name}")] {
-            // A method is preceded by anything; a path's last name must be whole.
+            // A method may be preceded by anything; the last name of a path must be complete.
             let whole =
                 |at: usize| !source.code[at + form.len()..].starts_with(|c: char| c.is_alphanumeric() || c == '_');
             let at = source.code.match_indices(&form).map(|(at, _)| at).filter(|&at| form.ends_with('(') || whole(at));
@@ -274,7 +276,7 @@ fn no_module_is_named_for_what_does_not_belong_together() {
     assert_none(vague.map(|s| format!("{}:1", s.path)).collect(), "modules that could hold anything");
 }
 
-/// Crates whose sums are in another order, or fused, on another processor, though nobody asks them to.
+/// Crates whose sums have another order, or are fused, on another CPU by default.
 const OF_THE_PROCESSOR: [&str; 3] = ["matrixmultiply", "gemm", "blas-src"];
 
 #[test]
@@ -294,7 +296,7 @@ fn unsafe_is_nowhere() {
     assert!(manifest.contains("unsafe_code = \"forbid\""), "Cargo.toml no longer forbids unsafe code");
 }
 
-/// The checks themselves, on sources made up to offend.
+/// Tests of the checks, with made-up sources that violate the rules.
 mod made_up {
     use super::*;
 

@@ -1,15 +1,16 @@
-//! The sources as the checks see them: comments, texts and tests blanked out, lines kept.
+//! The sources for the checks: without comments, texts and tests, with all lines.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
 /// A file of `src/`.
 pub struct Source {
-    /// From the package's folder, with `/`.
+    /// Path from the package's folder, with `/`.
     pub path: String,
-    /// The module, from the crate's root: `["align", "features", "sift", "extrema"]`; the crate's root and `main` have none.
+    /// Module path from the crate's root: `["align", "features", "sift", "extrema"]`; empty for the crate's root and
+    /// `main`.
     pub module: Vec<String>,
-    /// Its lines, all of them.
+    /// Number of all its lines.
     pub lines: usize,
     /// The code without comments, texts and tests.
     pub code: String,
