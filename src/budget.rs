@@ -110,7 +110,7 @@ impl Demand {
         one.thread() + 4 * one.scale_space()
     }
 
-    /// Bytes of the scale space of the level on which agreement is measured and features are detected.
+    /// Bytes of the scale space on the pyramid level that is used for agreement and features.
     fn scale_space(&self) -> u64 {
         let mut pixels = self.pixels();
         while pixels > Demand::MEASURED_PIXELS {

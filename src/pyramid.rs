@@ -1,8 +1,8 @@
 //! Downsampling and smoothing of planes: 2x2 averages, the separable Gaussian and the binomial filter.
 //!
-//! In: a [`Plane`]. Out: a smaller or smoother one. Cost: the levels of a pyramid have a third of the pixels of the
-//! image in all; two passes of 2 ceil(4 sigma) + 1 multiply-adds per pixel for the Gaussian. Source: Ward 2003, section
-//! 2 (pyramid by averaging); Lowe 2004, section 3 (the Gaussian scale space is separable).
+//! In: a [`Plane`]. Out: a smaller or smoother one. Cost: the reduced levels of a pyramid together have a third of
+//! the pixels of the image; two passes, each of 2 ceil(4 sigma) + 1 multiply-adds per pixel for the Gaussian. Source:
+//! Ward 2003, section 2 (pyramid by averaging); Lowe 2004, section 3 (the Gaussian scale space is separable).
 
 pub(crate) mod burt_adelson;
 pub(crate) mod cells;

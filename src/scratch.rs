@@ -21,8 +21,8 @@ pub struct MemoryLimit {
 }
 
 impl MemoryLimit {
-    /// Bytes of the program, its tables and memory that the allocator keeps between stages, without that of the worker
-    /// threads. Measured.
+    /// Bytes of the program, its tables, and the memory that the allocator keeps between stages, measured. Worker
+    /// threads are not included.
     pub const PROGRAM: u64 = 24 << 20;
 
     /// Bytes available for pixels.

@@ -63,7 +63,7 @@ impl Brief {
     }
 }
 
-/// The state of a job when its pixels are computed.
+/// The state of a job after its pixels were computed.
 #[derive(Debug)]
 pub enum Begun<'a> {
     /// It was done before, with the same inputs, options and version.

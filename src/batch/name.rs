@@ -57,7 +57,7 @@ pub struct Values {
     pub number: usize,
     /// Its number of photographs.
     pub count: usize,
-    /// The number of its panorama, from 1.
+    /// The number of the panorama that contains the bracket, from 1.
     pub set: usize,
     /// The camera.
     pub camera: Option<String>,

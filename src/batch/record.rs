@@ -89,7 +89,7 @@ pub struct Record {
     pub inputs: Vec<Content>,
     /// The results.
     pub outputs: Vec<Content>,
-    /// SHA-256 of the previous results that these replace.
+    /// SHA-256 of each previous result file that the new results replace.
     pub replaced: Vec<String>,
 }
 

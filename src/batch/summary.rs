@@ -103,7 +103,7 @@ pub struct Summary {
     pub software: &'static str,
     /// Numbers of jobs by status.
     pub counts: Counts,
-    /// The jobs, in the order of the plan.
+    /// The jobs, in the order of the plan (`steps` in the JSON).
     #[serde(rename = "steps")]
     pub jobs: Vec<Row>,
     /// Photographs that are in no bracket; null if only the plan is known.

@@ -1,8 +1,8 @@
 //! Brackets: differently exposed photographs of one scene, decoded and sorted by exposure.
 //!
-//! In: paths. Out: a [`Bracket`] of [`Frame`]s by rising exposure. Frames keep the pixel values that the camera wrote (8 or 16 bit,
-//! camera-encoded, orientation applied), three per pixel and never floats, in memory or, where memory is limited, on disk. Cost: that of
-//! the decoders, one frame per thread.
+//! In: paths. Out: a [`Bracket`] of [`Frame`]s by rising exposure. Frames keep the pixel values that the camera wrote
+//! (8 or 16 bit, camera-encoded, orientation applied), three integers per pixel, in memory or, where memory is
+//! limited, on disk. Cost: that of the decoders, one frame per thread.
 
 pub mod colour;
 mod decode;
@@ -200,7 +200,8 @@ impl Frame {
         self.profile.as_ref().and_then(|profile| profile.primaries).unwrap_or(Primaries::SRGB)
     }
 
-    /// Computes the grey image used for alignment: (54 R + 183 G + 19 B) / 256 (Ward 2003, section 2), at 8 bits for either depth.
+    /// Computes the grey image used for alignment: (54 R + 183 G + 19 B) / 256 (Ward 2003, section 2), with 8 bits
+    /// for frames of 8 or 16.
     ///
     /// # Errors
     /// [`Error::Scratch`] where the frame is on disk and cannot be read.
@@ -351,7 +352,7 @@ impl Bracket {
         reference::named(&reference::paths(&self.frames), path)
     }
 
-    /// The frame that the others are aligned to; the result has its extent.
+    /// The frame that the others are aligned to; the result has its size and shows the same view.
     pub fn reference(&self) -> &Frame {
         &self.frames[self.reference]
     }

@@ -147,7 +147,7 @@ fn ended(name: &str, outcome: Result<ExitCode, Error>) -> ExitCode {
             for (i, line) in Terminal::of_stderr().wrapped(&words, 10).iter().enumerate() {
                 say(format_args!("{}{line}", if i == 0 { "hdralign: " } else { "          " }));
             }
-            // In `compare`, 1 means that the files differ.
+            // `compare` exits with 1 if the files differ, so its errors exit with 2.
             ExitCode::from(if error.is_usage() || name == "compare" { 2 } else { 1 })
         }
     }

@@ -49,15 +49,15 @@ pub fn within_pixels(full: (usize, usize), most: usize) -> (usize, usize) {
 /// Scaling by integer factors: `by` x `by` pixels become one, or one becomes `times` x `times`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Cells {
-    /// Number of pixels along a side that become one.
+    /// Reduction factor: a block of `by` x `by` pixels becomes one pixel.
     pub by: usize,
     /// Number of pixels along a side that one becomes.
     pub times: usize,
 }
 
 impl Cells {
-    /// Returns the factors for a picture of `size` pixels whose long side should have `least` to `most`, as closely
-    /// as integers allow.
+    /// Returns the integer factors that bring the long side of a picture to between `least` and `most` pixels, or as
+    /// close as possible.
     pub fn within((width, height): (usize, usize), least: usize, most: usize) -> Cells {
         let side = width.max(height).max(1);
         Cells { by: side.div_ceil(most), times: (least / side).max(1) }
@@ -175,7 +175,7 @@ fn parts(i: usize, step: f64, n: usize) -> Vec<(usize, f64)> {
     (from as usize..last).map(|k| (k, (to.min(k as f64 + 1.0) - from.max(k as f64)).max(0.0))).collect()
 }
 
-/// Reduces a grey picture to `size` pixels, which is not larger.
+/// Reduces a grey picture to `size`, which must not be larger than the picture.
 pub fn reduce_to(plane: &Plane<u8>, size: (usize, usize)) -> Plane<u8> {
     let mut reduced = Reduced::new((plane.width(), plane.height()), size);
     reduced.push(plane.as_slice().as_chunks::<1>().0);

@@ -38,9 +38,9 @@ const GUARD: (f32, f32) = (16.0, 0.25);
 const TOP: f32 = 253.0;
 const RINGING: f32 = 0.5;
 
-/// Largest radiance relative to the middle code value of the reference frame (the smallest is its inverse), and largest
-/// weight relative to the middle code value of the longest exposure: 80 and 40 stops, more than real exposures and
-/// responses give. Sums of the largest are finite.
+/// Limits that keep sums finite: the largest radiance relative to the middle code value of the reference frame (the
+/// smallest is its inverse), 80 stops; and the largest weight relative to the middle code value of the longest
+/// exposure, 40 stops. Real exposures and responses are well within both.
 const MOST_RADIANCE: f64 = 1e24;
 const MOST_WEIGHT: f32 = 1e11;
 
@@ -77,7 +77,7 @@ impl Table {
     }
 }
 
-/// The code values of one frame in a tile, and marks near clipped pixels.
+/// The code values of one frame in a tile, and a mask of the pixels near clipped ones.
 pub(super) struct Tile {
     /// Resampled pixels, with a margin of one pixel where the frame has it.
     codes: Vec<[f32; 3]>,

@@ -313,7 +313,8 @@ mod tests {
             let (bracket, alignment) = bracket(&[(-2.0, &|_, _| [glint; 3]), (0.0, &|_, _| [120; 3])]);
             merged(&bracket, &alignment, Weight::Hat)[31][1]
         };
-        // The weights of the two alone decide: the longer has twice the middle, and its code is nearer to the middle.
+        // Only the weights of the two frames matter. The longer has twice the exposure of the middle code value, and
+        // its code is closer to the middle.
         let x = |code: usize| ResponseCurve::srgb().exposures(1)[code];
         assert!(of(200) < 0.35 * 4.0 * x(200) && of(200) > x(120), "{}", of(200) / x(200));
     }

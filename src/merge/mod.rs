@@ -131,8 +131,8 @@ pub struct MergeReport {
     pub all_black: usize,
     /// [`Merged::reference_exposure`].
     pub reference_exposure: f64,
-    /// The relative exposure t * ISO / N^2 at which radiance 1 gives the middle code value: that of the reference
-    /// frame, or that of the normalisation. Null in cd/m2.
+    /// The relative exposure t * ISO / N^2 at which radiance 1 gives the middle code value. It is the exposure of the
+    /// reference frame, or that of the normalisation. Null if radiance is in cd/m2.
     pub unit_exposure_s: Option<f64>,
     /// The range from the darkest radiance in the picture above the noise to the brightest that is not clipped, in
     /// stops. Null for locally processed frames.
@@ -175,7 +175,8 @@ mod tests {
                     assert!((found / truth - 1.0).abs() < 0.05, "{weight:?} {x}: {found} for {truth}");
                 }
             }
-            // It rises over decided and weighted regions alike: to within the rounding of codes.
+            // The radiance rises along the row, in regions from one frame as well as in averaged regions, except for
+            // the rounding of codes.
             assert!((1..240).all(|x| map.pixels.at(x, 0)[0] >= 0.97 * map.pixels.at(x - 1, 0)[0]), "{weight:?}");
             assert_eq!((report.all_clipped, report.all_black), (0, 0));
         }

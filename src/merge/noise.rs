@@ -202,8 +202,8 @@ mod tests {
         let curve = ResponseCurve::srgb();
         let (still, moved) = (Noise::of(&frame(|_| 0.0), false).unwrap(), Noise::of(&frame(|_| 0.0), true).unwrap());
         assert!(moved.variance(&curve, 1, 200) > still.variance(&curve, 1, 200));
-        // By hand: X of code 128 is 1 and dX/dZ there 2.4 / (128 + 0.055 * 255) = 0.0169: 2 % of 1 and one code's
-        // worth.
+        // By hand: the exposure X of code 128 is 1, and dX/dZ = 2.4 / (128 + 0.055 * 255) = 0.0169. The variance is
+        // the sum of the squares of one code (0.0169) and of 2 % of X (0.02).
         assert!((still.variance(&curve, 1, 128) - (0.0169f64.powi(2) + 0.02f64.powi(2))).abs() < 2e-5);
     }
 }

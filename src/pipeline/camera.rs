@@ -114,8 +114,8 @@ impl Options {
 /// are one bracket.
 ///
 /// # Errors
-/// Those of [`prepare`]; [`Error::Option`] if a folder contains no bracket, or if an option for one bracket is used
-/// with several.
+/// Those of [`prepare`]; [`Error::Option`] if a folder contains no bracket, or if an option that applies to one
+/// bracket is given with several.
 pub fn run(images: &[PathBuf], options: &Options, watch: Watch) -> Result<CameraReport> {
     let brackets = folders::brackets(images)?;
     check_options(&brackets, options)?;

@@ -334,8 +334,8 @@ mod tests {
         }
     }
 
-    /// Truncation leaves a component within the interval [m, m + 1) of its mantissa; its centre is at most half a step away, and a step is at most 1/128 of
-    /// the largest component.
+    /// The encoder truncates, so a component is in [m, m + 1), where m is its mantissa. The decoder returns the
+    /// centre of this interval, at most half a step away, and a step is at most 1/128 of the largest component.
     #[test]
     fn decoding_is_within_half_a_step() {
         for n in numbers(20_000) {

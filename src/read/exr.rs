@@ -28,7 +28,7 @@ use std::collections::HashSet;
 use std::io::Cursor;
 
 /// Reads the picture in the `bytes` of an `.exr` file as stored, with its chromaticities (BT.709 if there are none).
-/// Values may be anything.
+/// Pixels may be negative, infinite or NaN.
 ///
 /// # Errors
 /// The reason, for damaged files, files without colour or luminance, and files that exceed `limits`.
@@ -195,8 +195,8 @@ fn decimal(v: f32) -> f64 {
     v.to_string().parse().unwrap_or(f64::from(v))
 }
 
-/// Returns the names of the channels of `layer` that are not `chosen`, and of the other layers: parts, by number if
-/// they have no name, and the text before the dot in the names of channels.
+/// Returns the names of what is not read: the channels of `layer` that are not `chosen`, and the other layers. A
+/// layer is a part of the file, named by its number if it has no name, or a prefix before the dot in channel names.
 fn unread(layers: &[Layer], layer: &Layer, chosen: [&Channel; 3]) -> Vec<String> {
     let mut found = Vec::new();
     for (number, other) in layers.iter().enumerate() {

@@ -133,7 +133,7 @@ impl From<Primaries> for ColourReport {
 /// A frame.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FrameReport {
-    /// The file, as it was named.
+    /// The file, as the user named it.
     pub path: String,
     /// Shutter time in seconds.
     pub time_s: Option<f64>,

@@ -27,7 +27,7 @@ pub struct OptionsReport {
     /// Method used to recover the camera response: `debevec`, `robertson`, `mitsunaga-nayar`, `linear`, `srgb`; null
     /// if a file was given.
     pub response_model: Option<&'static str>,
-    /// The response file, as it was named.
+    /// The response file, as the user named it.
     pub response_file: Option<String>,
     /// Weighting function.
     pub weight: Option<Weight>,

@@ -26,7 +26,7 @@ pub struct TonemapReport {
     pub schema: &'static str,
     /// The program and its version.
     pub software: &'static str,
-    /// The radiance map, as it was named.
+    /// The radiance map, as the user named it.
     pub input: String,
     /// Its width.
     pub width_px: usize,

@@ -30,13 +30,13 @@ const BLOCK: usize = 40;
 const NEIGHBOURHOODS: usize = 24;
 /// Reach of Tukey's biweight in robust standard deviations: places beyond it show motion.
 const REACH: f64 = 4.685;
-/// Frames are locally processed if their variation over the picture, in stops, is greater than this number times the
-/// fifth power of the fraction of an exposure step that reaches them. The boundary is measured: the ratio of the two
-/// was at most 0.023 on 301 rendered brackets of other kinds (truth.py) and at most 0.032 on 15 photographed ones,
+/// Frames are locally processed if their variation over the picture, in stops, exceeds LOCAL * f^5, where f is the
+/// fraction of the nominal exposure step that is found in the pixels. The limit is measured: variation / f^5 was at
+/// most 0.023 on 301 rendered brackets without local processing (truth.py) and at most 0.032 on 15 photographed ones,
 /// among them motion, mist, film and flash (0.056 on one of water). It was 0.061 or more on 49 of 52 brackets of
-/// phones; the other three have curves at least 1.5 times as steep as sRGB's, and 0.004 to 0.022. The power means
-/// that frames with the full step must vary by more than any camera response does, and frames with half of it only by
-/// little.
+/// phones; the other three have curves at least 1.5 times as steep as sRGB's, and 0.004 to 0.022. Because of the
+/// power, frames with the full step must vary by more than any camera response causes, and frames with half of it
+/// only by little.
 const LOCAL: f64 = 0.04;
 const POWER: f64 = 5.0;
 /// Frames that differ by more than this fraction of an exposure step were not compressed, whatever else varies. The

@@ -209,7 +209,7 @@ pub struct RatioReport {
     pub found_stops: f64,
 }
 
-/// Accuracy of the curve of one channel.
+/// Estimated error of the curve of one channel.
 #[doc(hidden)]
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Fit {

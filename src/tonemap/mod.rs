@@ -125,7 +125,7 @@ impl Default for Rendering {
 }
 
 impl Rendering {
-    /// Every rendering with its default settings and a one-line description.
+    /// Returns every rendering with its default settings, each with a description of one line.
     pub fn every() -> Vec<(Rendering, &'static str)> {
         let toned = Operator::iter().map(|operator| {
             let about = operator.get_documentation().unwrap_or_default();
@@ -202,7 +202,8 @@ mod tests {
         }
     }
 
-    /// Found by the property tests: beyond 2^127 times the key the local shoulder was NaN, and so were the positions in the table of tones.
+    /// Found by the property tests: for luminances above 2^127 times the key the local shoulder function gave NaN,
+    /// and so did the index of the tone table.
     #[test]
     fn the_ends_of_what_floats_hold_give_a_picture() {
         let ends = [[f32::MAX; 3], [1e-45; 3], [1.0; 3], [1e-30, 1.0, f32::MAX], [0.0; 3], [1e30, 1e-30, 0.0]];

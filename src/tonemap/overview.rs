@@ -124,8 +124,8 @@ impl Overview {
     }
 }
 
-/// Largest range, in stops, of a scene that counts as uniform: noise and rounding stay below it, and the falloff of light towards the corners of a
-/// picture is larger.
+/// Largest range, in stops, of a scene that counts as uniform: noise and rounding stay below it; the falloff of light
+/// towards the corners of a picture exceeds it.
 const UNIFORM_STOPS: f32 = 0.25;
 
 /// Stands for the logarithm of no light.

@@ -73,7 +73,7 @@ fn written(fields: &[Field]) -> Option<Vec<u8>> {
     Some(block.into_inner())
 }
 
-/// A tag by its directory and number.
+/// The key of a tag: its directory and its number.
 type Key = (u8, u16);
 
 fn key(tag: Tag) -> Key {

@@ -224,7 +224,7 @@ impl Correlations<'_> {
     }
 }
 
-/// Checks the tile of this side whose top-left pixel is (`left`, `top`).
+/// Checks the tile of `side` x `side` pixels whose top-left pixel is (`left`, `top`).
 pub(super) fn check_tile(both: &CommonExposure, warped: &Plane<f32>, left: usize, top: usize, side: usize) -> Tile {
     let Some(pattern) = Pattern::new(both, left, top, side) else { return Tile::Undecided };
     let mut correlations = Correlations { pattern: &pattern, warped, known: [[None; SPAN]; SPAN] };
@@ -253,7 +253,7 @@ pub(super) fn check_tile(both: &CommonExposure, warped: &Plane<f32>, left: usize
     Tile::Agrees { offset: (x * x + y * y).sqrt(), correlation: here, peak: correlations.peak(best.1) }
 }
 
-/// Shifts from which other maxima are searched.
+/// Shifts from which the search for other maxima starts.
 const RIM: [Shift; 8] = [(-3, -3), (0, -3), (3, -3), (-3, 0), (3, 0), (-3, 3), (0, 3), (3, 3)];
 
 /// Least correlation of an agreeing tile.

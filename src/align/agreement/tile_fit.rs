@@ -19,7 +19,7 @@ const LEAST_TILES: usize = 8;
 const TUKEY: f64 = 4.685;
 /// The median of the squared length of a normal vector in the plane, in units of its variance along an axis.
 const MEDIAN_SQUARE: f64 = 1.386;
-/// Factor of the error for the correlation between neighbouring tiles.
+/// Factor by which the standard error is increased because neighbouring tiles are correlated.
 const CORRELATION_FACTOR: f64 = 1.5;
 /// Rounds of reweighting.
 const ROUNDS: usize = 5;

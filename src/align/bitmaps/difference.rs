@@ -102,7 +102,8 @@ impl Loops for Count<'_> {
     }
 }
 
-/// Counts the mismatches in each cell of a grid over the reference, under the shift (`dx`, `dy`) of less than a word.
+/// Counts the mismatches in each cell of a grid over the reference, with the other bitmap shifted by (`dx`, `dy`),
+/// where |`dx`| is less than the bits of a word.
 ///
 /// The grid has `columns` columns of whole words; `cells` holds its cells row by row.
 pub fn mismatches(

@@ -20,7 +20,8 @@ const LEAST: i64 = 5;
 /// Least share of pixels that differ under half a period; with fewer the picture is uniform rather than periodic.
 const LEAST_DIFFERENCE: f64 = 0.03;
 
-/// Whether `picture` matches itself under a shift of more than a few pixels, up to the largest shift of `options`.
+/// Whether `picture` matches itself under a shift of more than a few pixels and at most the largest shift of
+/// `options` (a periodic pattern).
 pub(crate) fn repeats(picture: &GreyPyramid, options: &MtbOptions) -> bool {
     let level = picture.level_narrower_than(SIDE);
     let plane = picture.level(level);

@@ -215,8 +215,8 @@ const BEAM: usize = 9;
 /// A candidate whose rate of differing pixels is more than this multiple of the lowest is dropped.
 const MOST_EXCESS: f64 = 1.5;
 
-/// Short side from which on a level is refined to fractions of a pixel, and only the best candidate is followed, in
-/// pixels.
+/// Smallest short side of a level, in pixels, for refinement to fractions of a pixel; from there on only the best
+/// candidate is followed.
 const CERTAIN_SIDE: usize = 200;
 
 /// Rounds of the descent on each level, and on the last.

@@ -73,7 +73,7 @@ const REFITS: usize = 8;
 
 /// The matches of all feature sets.
 pub(super) struct Matches {
-    /// The positions, in pixels of the full size.
+    /// Positions of the matched keypoints, in pixels of the full size.
     pub(super) pairs: Vec<PointPair>,
     /// The larger of the two scales of each pair, at least 1, in pixels of the level.
     pub(super) scales: Vec<f64>,

@@ -34,7 +34,7 @@ pub fn search(pairs: &[PointPair], options: &RansacOptions) -> Option<Consensus>
     Consensus::new(pairs, homography, limit)
 }
 
-/// Sum of the squared distances, each at most `limit`.
+/// Sum of the squared distances, each limited to `limit`.
 fn score(pairs: &[PointPair], h: &Matrix3<f64>, limit: f64) -> f64 {
     pairs.iter().map(|p| distance_squared(h, p).min(limit)).sum()
 }

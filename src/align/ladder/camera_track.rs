@@ -87,7 +87,8 @@ pub(crate) struct CameraTrack {
 }
 
 impl CameraTrack {
-    /// The track through `known`, for frames of `size`; none for fewer than two transforms.
+    /// Fits the track of the camera to the transforms `known`, for frames of `size`. Returns `None` for fewer than
+    /// two.
     pub(crate) fn new(mut known: Vec<KnownTransform>, size: (usize, usize)) -> Option<Self> {
         known.sort_by(|a, b| a.time.total_cmp(&b.time));
         let count = known.len().checked_sub(1).filter(|&count| count > 0)?;
@@ -204,7 +205,7 @@ mod tests {
 
     #[test]
     fn quantile_is_that_of_tables() {
-        // F(2, 2), F(2, 6) and F(2, 120) at 95 %.
+        // 95 % quantiles of the F distribution with (2, 2 * steps) degrees of freedom.
         for (steps, table) in [(1, 19.0), (3, 5.143), (60, 3.072)] {
             assert!((quantile(steps) - table).abs() < 1e-3, "{steps}: {}", quantile(steps));
         }

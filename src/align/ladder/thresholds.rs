@@ -14,8 +14,8 @@ pub(super) const SETTLED_ERROR_PX: f64 = 0.5;
 
 // What is accepted.
 
-/// Least confidence of an accepted candidate, 0..=1, unless nearly all tiles agree with it. Wrong transforms between
-/// rendered scenes stay below it (test `another_scene_never_settles`).
+/// Smallest confidence, 0..=1, of an accepted candidate, unless nearly all tiles agree with it. Wrong transforms
+/// between different rendered scenes stay below it (test `another_scene_never_settles`).
 pub(super) const ACCEPTED_CONFIDENCE: f64 = 0.35;
 /// Fewest agreeing tiles of a candidate that nearly all tiles agree with. Low, because frames that are mostly black or
 /// clipped are often the important ones.

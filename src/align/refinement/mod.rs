@@ -98,7 +98,7 @@ impl Loops for Residuals<'_> {
     }
 }
 
-/// A level: its points, its size, and the largest step that ends it.
+/// A level: its points, its size, and the step size below which the iteration ends.
 struct Stage<'a> {
     points: &'a [Point],
     level: usize,

@@ -84,7 +84,7 @@ impl<const N: usize> Loops for Sums<'_, N> {
             }
             for i in 0..N {
                 let weighed = w * row[i];
-                // In groups of four, from the one that contains the diagonal.
+                // Columns are processed in groups of four, from the group that contains the diagonal.
                 for k in i / 4 * 4..N {
                     a[i][k] += weighed * row[k];
                 }

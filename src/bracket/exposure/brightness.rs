@@ -42,7 +42,7 @@ pub struct Brightness {
 }
 
 impl Brightness {
-    /// Computes the statistics of an image `width` pixels wide.
+    /// Computes the brightness statistics of `samples`, an image `width` pixels wide.
     pub fn of(samples: &Samples, width: usize) -> Self {
         let height = samples.len() / (3 * width.max(1));
         let at = |y: usize, x: usize| 3 * (y * width + x) + 1;

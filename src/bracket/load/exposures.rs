@@ -93,7 +93,7 @@ pub(super) fn settle(
     Ok(exposures.into_iter().filter_map(|exposure| exposure.or_else(|| any.clone())).collect())
 }
 
-/// Places exposure steps from the pixels, which have no absolute level, among known exposures.
+/// Combines exposures estimated from the pixels, which have an arbitrary common offset, with known exposures.
 struct Places<'a> {
     steps: &'a [f64],
     /// Index of each accepted frame and the EV to add to its step. Where none is accepted: one entry, the median of all frames with an

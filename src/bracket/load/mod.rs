@@ -296,8 +296,8 @@ fn check_given(pictures: &[Picture], copies: &[Copied], given: &[Exposure]) -> O
     Some(Warning::ExposureDoubtful { detail })
 }
 
-/// Adds time, f-number and ISO of the file to an `exposure` that is not from EXIF. The time is left out where the exposure was estimated,
-/// because the pixels may contradict it.
+/// Adds time, f-number and ISO of the file to an `exposure` that is not from EXIF. The time is left out if the
+/// exposure was estimated, because the pixels may contradict the recorded time.
 fn with_tags(mut exposure: Exposure, tags: &ExposureTags) -> Exposure {
     if exposure.source != ExposureSource::Exif {
         exposure.time_s = if exposure.source == ExposureSource::Given { tags.time_s.map(|t| t.0) } else { None };

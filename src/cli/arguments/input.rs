@@ -198,7 +198,7 @@ fn report_file(path: PathBuf) -> Result<PathBuf, &'static str> {
 }
 
 impl Method {
-    /// The library's options for these arguments; all others have their defaults.
+    /// Returns the library's options for these arguments; options without an argument have their defaults.
     pub fn options(&self) -> Options {
         Options {
             load: LoadOptions { ev: self.ev.clone(), ..LoadOptions::default() },

@@ -55,7 +55,7 @@ pub struct Merging {
 
     /// Scale the radiance to cd/m2 by the exposure of the reference frame, to within about half a stop
     ///
-    /// Its largest pixel value is 87 N^2 / (t ISO) cd/m2
+    /// Its largest pixel value is then 87 N^2 / (t ISO) cd/m2 (N: f-number, t: exposure time in s)
     #[arg(long, hide_short_help = true)]
     absolute: bool,
 

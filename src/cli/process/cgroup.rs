@@ -56,7 +56,7 @@ pub fn free(root: &Path) -> Option<u64> {
 }
 
 impl Version {
-    /// The group of the process, from lines of `hierarchy:controllers:path`.
+    /// Returns the cgroup path of the process, from lines of `hierarchy:controllers:path`.
     fn group<'a>(&self, groups: &'a str) -> Option<&'a Path> {
         groups.lines().find_map(|line| {
             let (controllers, path) = line.split_once(':')?.1.split_once(':')?;

@@ -48,7 +48,8 @@ pub fn give_way() {
 #[cfg(unix)]
 pub fn listen() {
     use signal_hook::consts::{SIGABRT, SIGHUP, SIGINT, SIGTERM, SIGXCPU, SIGXFSZ};
-    // Rust aborts, with a message, if the system refuses memory: exit code 1, as for other failures.
+    // If the system refuses memory, Rust prints a message and aborts; this changes the exit code to 1, as for other
+    // failures.
     let _ = signal_hook::flag::register_conditional_shutdown(SIGABRT, 1, &ABORT_IS_FAILURE);
     // Handled, the signal does not end the process: the write fails, which is reported as an error of the file.
     let _ = signal_hook::flag::register(SIGXFSZ, &OUTGREW);

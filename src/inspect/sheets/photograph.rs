@@ -65,8 +65,8 @@ impl Photograph {
     }
 }
 
-/// Returns the shown value of each grey value: the brightest few pixels in a thousand become white, the median is at
-/// least visible, and in a dark frame the camera's black level becomes black.
+/// Returns the displayed value of each grey value, and whether it is brighter. The brightest few thousandths of the
+/// pixels become white, the median is made visible, and in a dark frame the camera's black level becomes black.
 fn shown(grey: &Plane<u8>) -> ([u8; 256], bool) {
     let mut counts = [0usize; 256];
     for &v in grey.as_slice() {

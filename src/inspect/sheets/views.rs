@@ -27,7 +27,7 @@ const GAP: f64 = 16.0;
 pub(super) const DETAIL_GAP: f64 = 8.0;
 /// Height of the texts above each side.
 const NAMES: f64 = 26.0;
-/// Number of details in a row below each side, and pixels of the page per pixel of a detail.
+/// Number of details in the row below each of the two views, and the magnification of a detail.
 const DETAILS: usize = 3;
 pub(super) const MAGNIFIED: usize = 2;
 /// Details this fraction of the diagonal apart are far enough apart.
@@ -43,7 +43,7 @@ pub(in crate::inspect) struct Couple<'a> {
     pub(in crate::inspect) frame: &'a Frame,
     pub(in crate::inspect) reference_grey: &'a Plane<u8>,
     pub(in crate::inspect) frame_grey: &'a Plane<u8>,
-    /// Reference pixel -> frame pixel; `None` if the frame was rejected.
+    /// Maps pixels of the reference to pixels of the frame; `None` if the frame was rejected.
     pub(in crate::inspect) warp: Option<Transform>,
 }
 

@@ -19,8 +19,8 @@ pub struct Ghosts {
     pub(super) region: Rect,
     pub(super) side: usize,
     pub(super) strength: f64,
-    /// For each merged frame, by rising exposure: its path, and for each cell the factor times 255. Empty for the
-    /// reference frame.
+    /// For each merged frame, by rising exposure: its path, and for each cell the weight factor, 0..=1, times 255.
+    /// `None` for the reference frame.
     pub(super) frames: Vec<(String, Option<Plane<u8>>)>,
     /// Radiance continued where the reference frame is clipped and all shorter frames are removed.
     pub(super) holes: Option<Holes>,

@@ -278,7 +278,7 @@ fn take_over(standard: &mut Plane<Cell>, frame: &Plane<Cell>, moved: &Plane<bool
             if *moved || f.is_outside() {
                 continue;
             }
-            // All channels or none, so that a standard has one source.
+            // The bounds of all channels are used or of none, so that the standard is from one frame.
             let gain = |c: usize| match (s.is_bound(c), f.is_bound(c)) {
                 (true, false) => 1,
                 (false, true) => -1,

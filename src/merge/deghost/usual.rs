@@ -16,7 +16,8 @@ const MOST_BIAS: f32 = 1.5;
 const LEVELS: usize = 64;
 /// Level of radiance 1.
 const UNIT_LEVEL: f32 = 40.0;
-/// Bins of the ratio of two radiances: floats that share exponent and first five bits, two stops to either side of 1.
+/// Bins of the ratio of two radiances, from two stops below 1 to two stops above: floats with the same exponent and
+/// the same first five bits of the mantissa.
 const RATIOS: usize = 128;
 const RATIO_SHIFT: u32 = 18;
 /// Cells at a level for which what is learnt there counts half.

@@ -7,7 +7,7 @@ use crate::bracket::colour::srgb_to_linear;
 use crate::response::ResponseCurve;
 use std::fmt;
 
-/// The radiances that the photographs show as the middle code value 128, and their contrast.
+/// The radiance that the photographs show as the middle code value 128, and the contrast of the photographs there.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Photographed {
     /// Radiance at the middle code value of the longest exposure, which shows the shadows.

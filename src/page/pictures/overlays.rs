@@ -25,7 +25,7 @@ const OPAQUE: f64 = 130.0;
 /// Steps of the local gain in each direction.
 const STEPS: i32 = 7;
 
-/// Maps of the local gain of the frames.
+/// Maps of the local gain of each frame relative to the reference.
 #[derive(Debug, Clone)]
 pub(in crate::page) struct Local {
     /// Gain of the strongest colours, in stops.

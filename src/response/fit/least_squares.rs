@@ -113,7 +113,7 @@ mod tests {
     fn digits_are_lost_by_the_condition_and_not_by_its_square() {
         let small = 5e-5;
         let mut equations = LeastSquares::new(2);
-        // Unknowns 1 and -1: rows [1 1 | 0], [small 0 | small], [0 small | -small].
+        // The solution is (1, -1); rows: [1 1 | 0], [small 0 | small], [0 small | -small].
         [[1.0, 1.0, 0.0], [small, 0.0, small], [0.0, small, -small]].iter().for_each(|row| equations.push(row, 1.0));
         let (x, condition) = equations.solve().unwrap();
         assert!((condition * small / 2f64.sqrt() - 1.0).abs() < 1e-8, "{condition}");

@@ -17,7 +17,7 @@ use crate::tonemap::display::{ToSrgb, luminance};
 /// make a dark surface brighter than a bright one (the remaining slope in the middle tones is 0.31).
 const LOCAL_STOPS: f64 = 2.0;
 
-/// Smallest distance of a luminance from black and from white: that of floats next to 1.
+/// Smallest distance of a luminance from black and from white: 2^-24, the spacing of floats just below 1.
 const LEAST: f32 = 1.0 / 16_777_216.0;
 
 /// Pixels that are computed together.

@@ -22,7 +22,8 @@ pub enum WhiteBalance {
     Spot(usize, usize),
 }
 
-/// The colour of a light as it appears in the photographs: when the camera balanced them well it is 6504 K, whatever the real light was.
+/// The colour of a light as it appears in the photographs. If the camera's white balance was right, this is 6504 K
+/// (D65) for any real light.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Light {
     /// Correlated colour temperature in kelvins.

@@ -138,7 +138,7 @@ static ADOBE_RGB: LazyLock<Tables> = LazyLock::new(|| Tables::of(Colours::AdobeR
 #[derive(Clone, Copy)]
 pub struct Encoder {
     tables: &'static Tables,
-    /// Conversion from linear sRGB; `None` for sRGB.
+    /// Conversion from linear sRGB to the gamut of the output; `None` if that is sRGB.
     gamut: Option<Conversion>,
 }
 

@@ -22,7 +22,7 @@ use crate::tonemap::display::luminance;
 pub(crate) struct Photograph {
     /// Code values by the light in stops; 0 is the middle code value.
     codes: Vec<f32>,
-    /// Display luminances of these code values, relative to white.
+    /// Display luminance of each code value, relative to white.
     shown: Vec<f32>,
     /// The light, in stops, of each of [`STEPS`] equally spaced code values, the last of which is white.
     stops: Vec<f64>,

@@ -167,8 +167,8 @@ pub fn mantiuk08(scene: &Scene, options: &Options) -> Tones {
         let log = if at <= 0.0 { ends[0] + at * nodes.step } else { ends[i] + (at - i as f64).min(1.0) * pieces[i] };
         display.linear(display.white * libm::exp10(log))
     };
-    // The remaining contrast around a luminance, averaged over nine pieces (an order of magnitude) so that the corners of the curve do not show in the
-    // colours.
+    // The slope of the tone curve at a luminance, averaged over nine segments (a factor of ten) so that the corners
+    // of the piecewise linear curve do not show in the colours.
     let slope = |v: f64| {
         let (i, _) = piece(log10_of(v));
         let about = &pieces[i.saturating_sub(4)..(i + 5).min(nodes.pieces)];
@@ -378,7 +378,7 @@ mod tests {
         assert!(mean(&better) < mean(&plain), "{}", mean(&better));
     }
 
-    /// A scene of little range leaves room for more contrast.
+    /// A scene of low dynamic range leaves room for more contrast.
     #[test]
     fn contrast_is_what_is_aimed_at() {
         let map = radiance(1.0, 1.0);

@@ -73,7 +73,7 @@ mod tests {
     use crate::bracket::colour::Primaries;
     use crate::tonemap::overview::Overview;
 
-    /// The code values of a ramp of so many stops.
+    /// The code values of a ramp that spans `stops` stops.
     fn filled(stops: f64, range: &LogRange) -> Vec<f64> {
         let map = Plane::from_rows(500, 8, |_, row| {
             row.iter_mut().enumerate().for_each(|(x, p)| *p = [libm::exp2(stops * x as f64 / 499.0) as f32; 3])

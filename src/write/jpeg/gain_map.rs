@@ -108,7 +108,7 @@ pub(super) fn lit(v: f32) -> f32 {
     if v > 0.0 { v } else { 0.0 }
 }
 
-/// Limits light relative to white to the range of the map.
+/// Limits a luminance, relative to white, to the range of the gain map.
 #[inline(always)]
 pub(super) fn shown(v: f32, scale: f32) -> f32 {
     let scaled = lit(v * scale);

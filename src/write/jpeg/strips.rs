@@ -15,7 +15,7 @@ use zune_jpeg::zune_core::bytestream::ZCursor;
 use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
-/// The longest side. The format allows 65535, most decoders (libjpeg) 65500.
+/// Longest side of a picture, in pixels. The format allows 65535, most decoders (libjpeg) 65500.
 pub const MOST_SIDE: usize = 65_500;
 
 /// A complete JPEG of some rows, which can be decoded separately.

@@ -14,7 +14,7 @@ const CELLS: usize = 4;
 const BINS: usize = 8;
 /// Bins of a cell during accumulation: the additional last one is the first again.
 const CELL_BINS: usize = BINS + 1;
-/// Bins of a row of cells during accumulation, with an additional cell at each end.
+/// Number of bins in a row of cells during accumulation, with an additional cell at each end.
 const ROW: usize = (CELLS + 2) * CELL_BINS;
 /// Width of a cell, in units of the keypoint's scale.
 const CELL: f64 = 3.0;
@@ -111,7 +111,8 @@ struct SampleRow<'a> {
     x: f64,
     /// Distance of the row below the keypoint, in pixels.
     dy: f32,
-    /// Sine and cosine of the keypoint's direction, divided by the width of a cell.
+    /// Sine and, below, cosine of the keypoint's direction, divided by the width of a cell in pixels, to rotate and
+    /// scale offsets.
     sin: f32,
     cos: f32,
     /// Direction of the keypoint.

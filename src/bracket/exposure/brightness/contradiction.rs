@@ -102,8 +102,8 @@ pub fn at_odds(written: &[f64], frames: &[&Brightness]) -> Option<Vec<usize>> {
     })
 }
 
-/// Returns the largest deviation of the measured from the written steps without the frames `odd`, where 1 is the uncertainty of camera
-/// curves. `None` where the frames contradict each other, or a step cannot be measured.
+/// Returns the largest difference between measured and recorded exposure steps without the frames `odd`, in units of
+/// the uncertainty of camera curves. `None` if the frames contradict each other, or a step cannot be measured.
 fn without(written: &[f64], pairs: &Pairs, odd: &[usize]) -> Option<f64> {
     let rest: Vec<usize> = (0..written.len()).filter(|i| !odd.contains(i)).collect();
     let order = by_written(&rest, written);

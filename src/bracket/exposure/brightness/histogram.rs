@@ -67,7 +67,7 @@ impl From<[u64; 256]> for Histogram {
 }
 
 fn count<T>(v: &[T], width: usize, stride: usize, code: impl Fn(&T) -> usize, counts: &mut [u64; 256]) {
-    // Two alternating tables, because increments of the same bin wait for each other.
+    // Two tables are used alternately, because consecutive increments of the same bin depend on each other.
     let mut others = [0u64; 256];
     for row in v.chunks_exact(3 * width).step_by(stride) {
         if stride == 2 {

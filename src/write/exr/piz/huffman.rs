@@ -129,7 +129,7 @@ impl Coder {
             }
             inner.insert(at, (key, node as u32));
         }
-        // From the root, which is last, down: each is one deeper than its parent.
+        // Depths from the root, which is last, downwards: each node is one deeper than its parent.
         let root = 2 * leaf_count - 2;
         parents[root] = 0;
         for node in (0..root).rev() {
@@ -235,7 +235,7 @@ struct Bits<'a> {
     out: &'a mut Vec<u8>,
     start: usize,
     at: usize,
-    /// Pending bits at the top; below them zeros.
+    /// Bits that are not written yet, at the top; the others are 0.
     word: u64,
     held: u64,
 }

@@ -1,8 +1,8 @@
 //! PIZ, OpenEXR's lossless wavelet compression of blocks of 32 rows.
 //!
 //! In: the rows of a block as planes of 16-bit values. Out: the block as in the file. Cost: 10 ns per value and core
-//! for halves of noisy photographs; memory only for buffers that are reused. Source: the PIZ format of C. Rouet in
-//! OpenEXR: `ImfPizCompressor.cpp`, `ImfWav.cpp`, `ImfHuf.cpp`.
+//! for half floats of noisy photographs; memory only for buffers that are reused. Source: the PIZ format of C. Rouet
+//! in OpenEXR: `ImfPizCompressor.cpp`, `ImfWav.cpp`, `ImfHuf.cpp`.
 //!
 //! The values that occur are numbered in order, so that fewer bits are needed; wavelets remove what is smooth; and a
 //! Huffman code with run lengths compresses the rest. The `exr` crate, which writes the same bytes in three times the
