@@ -61,7 +61,7 @@ fn not_numbers(input: &Input, path: &Path) -> Option<Warning> {
     let count = pixels.iter().filter(|pixel| pixel.iter().any(|v| !v.is_finite())).count();
     let which = if count == pixels.len() { "all".to_owned() } else { format!("{count} of {}", pixels.len()) };
     let detail = format!(
-        "{which} pixels are not finite numbers (NaN, infinity); they are part of the expected file now. If they are an error, \
+        "{which} pixels have values that are not finite numbers (NaN, infinity); they are part of the expected file now. If they are an error, \
          create the file again and bless it"
     );
     (count > 0).then(|| Warning::Metadata { path: path.to_owned(), detail })

@@ -291,7 +291,7 @@ fn values_that_are_not_numbers_are_blessed_with_a_warning() {
     put(&folder, "one.exr", changed(|x, y, rgb| if (x, y) == (3, 4) { [f32::INFINITY; 3] } else { rgb }), &float());
     put(&folder, "all.exr", changed(|_, _, _| [f32::NAN; 3]), &float());
     for (name, said) in
-        [("one.exr", "warning: one.exr: 1 of "), ("all.exr", "warning: all.exr: all pixels hold values")]
+        [("one.exr", "warning: one.exr: 1 of "), ("all.exr", "warning: all.exr: all pixels have values")]
     {
         let run = folder.line(&format!("compare golden.exr {name} --bless")).done();
         assert!(run.stderr.contains(said) && run.stderr.contains("NaN"), "{}", run.stderr);

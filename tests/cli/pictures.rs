@@ -187,7 +187,7 @@ fn picture_is_what_picture_names_whatever_the_extension() {
     assert_eq!(run.stdout, "d.tif\n");
     assert!(eight(&folder, "d.tif").1 == (300, 200) && !folder.at("a.png").exists());
     for (line, said) in [
-        ("--picture a.exr", &["--picture", "a.exr holds radiance", "-o"][..]),
+        ("--picture a.exr", &["--picture", "a.exr is a radiance format", "-o"][..]),
         ("--picture a.bmp", &["a.bmp", ".tif"]),
         ("--picture w2.jpg", &["--picture", "w2.jpg", "also an input file"]),
         ("-o x.png --picture x.png", &["--picture", "named twice, also by -o"]),
@@ -242,7 +242,7 @@ fn part_of_the_reference_is_what_the_whole_has_there() {
     assert_eq!(sides, [Some(0), Some(5), Some(120), Some(90)]);
     for (part, said) in [
         ("0,0,301,10", "300 x 200 pixels"),
-        ("0,190,10,11", "not within the reference"),
+        ("0,190,10,11", "not inside the reference"),
         ("5,5,0,5", "empty"),
         ("5,5,5", "X,Y,WIDTH,HEIGHT"),
     ] {

@@ -170,7 +170,7 @@ fn options_with_values_that_cannot_be_used_are_wrong_usage() {
         ("--reference 9", &["--reference", "9", "1 to 2"]),
         ("--reference 0", &["--reference", "0", "1 to 2"]),
         ("--reference other.jpg", &["--reference", "other.jpg"]),
-        ("--threads 0", &["--threads", "1 or more"]),
+        ("--threads 0", &["--threads", "at least 1 thread"]),
         ("--threads many", &["--threads", "many"]),
         ("--threads 100000", &["--threads", "1024"]),
         ("-e=-1000,0", &["-e", "-1000", "-e=-2,0,2"]),
@@ -259,7 +259,7 @@ fn tips_and_usage_are_of_what_was_typed() {
         refused(&folder, line, 2, &[tip]);
     }
     let line = "merge w2.jpg w3.jpg --deghost=off --ghost-mask m.png -o a.exr";
-    refused(&folder, line, 2, &["--ghost-mask: there is no mask where nothing is sought; take --deghost=off away"]);
+    refused(&folder, line, 2, &["--ghost-mask: there is no mask without deghosting; remove --deghost=off"]);
 }
 
 #[test]

@@ -93,7 +93,7 @@ fn what_cannot_be_leaves_nothing_behind() {
     };
     refused("response night church -e=-2,0,2 -o c.json", 2, "several");
     refused("response night church --reference night/3.jpg -o c.json", 2, "--reference");
-    refused("response night church/1.jpg -o c.json", 2, "two or more");
+    refused("response night church/1.jpg -o c.json", 2, "at least two");
     refused("response night -o c.txt", 2, ".json, .rsp, .csv");
     refused("response night -o c.json --plot c.pdf", 2, ".svg, .png");
     refused("response night church --leave-out nobody.jpg -o c.json", 2, "none of the brackets");
