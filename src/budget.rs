@@ -275,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn threads_are_fewer_where_memory_is_less_and_never_none() {
+    fn less_memory_gives_fewer_threads_but_at_least_one() {
         let on = |megabytes| budget(demand(9), megabytes * MB).unwrap().threads(16);
         assert_eq!((on(110), on(100_000)), (1, 16));
         let all: Vec<usize> = (110..800).step_by(5).map(on).collect();
@@ -284,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_refused_with_the_limit_that_would_do() {
+    fn bracket_over_the_memory_limit_names_a_sufficient_limit() {
         let refused = budget(demand(9), 64 * MB).unwrap_err();
         assert!(refused.is_usage());
         let words = refused.to_string();
@@ -320,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn more_threads_need_more_memory_for_frames_that_stay_in_it() {
+    fn more_threads_need_more_memory_for_frames_in_memory() {
         let of_nine = budget(demand(9), 700 * MB).unwrap();
         assert!(of_nine.in_memory(1).is_some() && of_nine.in_memory(64).is_none());
         let one = demand(9).enough(1);

@@ -195,7 +195,7 @@ mod tests {
 
     /// With a sparse file, which takes no space on the disk.
     #[test]
-    fn an_absurd_length_is_refused_before_it_is_read() {
+    fn impossible_length_is_rejected_before_reading() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a");
         File::create(&path).unwrap().set_len(1 << 40).unwrap();
@@ -210,7 +210,7 @@ mod tests {
 
     #[cfg(target_os = "linux")]
     #[test]
-    fn what_has_no_end_is_left_at_the_limit() {
+    fn endless_input_is_read_up_to_the_limit() {
         let error = whole(Path::new("/dev/zero"), 5_000_000).unwrap_err().to_string();
         assert!(error.contains("6 MB or more, but at most 5 MB are read"), "{error}");
         assert!(open_regular(Path::new("/dev/zero")).unwrap_err().to_string().contains("a pipe or a device"));

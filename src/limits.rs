@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn memory_is_refused_by_what_is_allowed_and_by_what_there_is() {
+    fn memory_is_limited_by_the_option_and_by_the_machine() {
         let limits = Limits { memory: Some(300_000_000), ..Limits::default() };
         assert_eq!(limits.check_memory((10_000, 10_000), 300_000_000), Ok(()));
         let reason = limits.check_memory((10_000, 10_000), 300_000_001).unwrap_err();
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_there_is_known_by_the_length() {
+    fn impossible_content_is_detected_by_the_length() {
         assert_eq!(check_length(100, 100 * DEFLATE, DEFLATE), Ok(()));
         assert!(check_length(99, 100 * DEFLATE, DEFLATE).unwrap_err().contains("truncated"));
         assert!(check_length(99, 100, tiff_packing(1)).is_err() && check_length(9, 100, tiff_packing(34712)).is_ok());

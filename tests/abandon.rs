@@ -7,7 +7,7 @@ use hdralign::write::{self, Pending};
 use support::Folder;
 
 #[test]
-fn after_the_end_nothing_is_there_and_nothing_comes() {
+fn abandoned_run_leaves_no_files_and_creates_none() {
     let folder = Folder::empty();
     let at = |name: &str| folder.at(name);
     let pending = write::text(&at("a.txt"), "a").unwrap().file;

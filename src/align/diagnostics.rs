@@ -307,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn bitmaps_tell_what_they_leave_out() {
+    fn excluded_pixels_of_bitmaps_are_reported() {
         let [reference, frame] = pair(&Transform::Identity);
         let options = AlignOptions::default();
         let bitmaps = FrameBitmaps::new(&reference, &frame, &options);
@@ -318,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn inliers_lie_where_the_truth_puts_them() {
+    fn inliers_agree_with_the_truth() {
         let truth = rigid(9.0, -6.0, 1.7);
         let options = AlignOptions::default();
         let [reference, frame] = pair(&truth).map(|p| FrameFeatures::new(&p, &options));

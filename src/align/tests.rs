@@ -58,7 +58,7 @@ fn three_exposures_are_placed_in_order_and_alike_on_any_threads() {
 }
 
 #[test]
-fn a_frame_of_another_scene_is_rejected_and_reported() {
+fn frame_of_another_scene_is_rejected_with_a_warning() {
     let own = Scene::new(41);
     let take = |scene: &Scene, transform: &Transform, ev| scene.photograph(SIZE, transform, Shot::at(ev));
     let frames = vec![
@@ -135,7 +135,7 @@ fn a_black_frame_among_others_that_moved_is_rejected() {
 }
 
 #[test]
-fn without_alignment_frames_lie_as_they_are() {
+fn frames_without_alignment_are_not_moved() {
     let bracket = bracket(&[(Transform::Identity, 0.0), (shift(6.0, -4.0), 1.0)]);
     let options = AlignOptions { mode: AlignMode::None, ..AlignOptions::default() };
     let (alignment, warnings) = align(&bracket, &options).unwrap();
@@ -200,7 +200,7 @@ fn place_given_that_no_camera_can_have_is_an_error_that_names_the_frame() {
 }
 
 #[test]
-fn small_overlap_is_warned_of_and_none_is_an_error() {
+fn small_overlap_warns_and_no_overlap_fails() {
     let bracket = bracket(&[(Transform::Identity, 0.0), (Transform::Identity, 1.0), (Transform::Identity, 2.0)]);
     let align = |shifts: [f64; 2]| {
         let known = |dx| Placement::by_user(shift(dx, 0.0));

@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn rejection_in_a_file_is_the_users_where_the_file_says_so() {
+    fn rejection_in_a_file_may_be_by_the_user() {
         let status = |frame: serde_json::Value| {
             let text = serde_json::json!({
                 "schema": SCHEMA, "width_px": 4, "height_px": 3, "reference": "b.jpg", "frames": [frame],

@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_template_is_refused_with_the_fields() {
+    fn invalid_template_is_rejected_with_the_list_of_fields() {
         for (wrong, said) in [
             ("{lens}", "{folder}"),
             ("{first", "brace"),

@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_made_is_known_by_its_content() {
+    fn own_results_are_recognised_by_hash() {
         let dir = tempfile::tempdir().unwrap();
         let at = |name: &str| dir.path().join(name);
         for (name, text) in [("a.exr", "A"), ("old.exr", "old"), ("mine.exr", "m")] {

@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn the_verdict_is_all_some_or_none() {
+    fn outcome_is_all_some_or_none() {
         let done = || Ending::Done(Brief::default());
         let failed = || Ending::Failed("x, \"y\"\nz".into());
         assert_eq!(summary(&[done(), Ending::Unchanged(Brief::default())]).verdict(), Verdict::All);

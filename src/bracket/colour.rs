@@ -296,7 +296,7 @@ mod tests {
 
     /// Published: sRGB to ACEScg by Bradford's transform (colour-science, `RGB_to_RGB`), and Adobe RGB's green in sRGB.
     #[test]
-    fn conversions_are_those_published_and_white_stays_white() {
+    fn conversions_match_published_matrices_and_keep_white() {
         let to = |from: Space, to: Space, c| Conversion::between(&from.primaries(), &to.primaries()).unwrap().apply(c);
         let close = |a: [f32; 3], b: [f32; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 2e-4);
         assert!(close(to(Space::Srgb, Space::Acescg, [1.0, 0.0, 0.0]), [0.6131, 0.0702, 0.0206]));
@@ -334,7 +334,7 @@ mod tests {
 
     /// The first would be (18616, -6821, 2): its luminance is 0.8 under the one white, and about 0 under the other.
     #[test]
-    fn colours_that_nothing_has_are_as_small_as_their_xyz_and_of_its_luminance() {
+    fn impossible_colours_keep_their_luminance_in_xyz() {
         let (neutral, weights) = (NeutralXyz::of(&Primaries::BT2020), Primaries::BT2020.luminance());
         for x in (0..400).map(|i| 21.0 + 0.005 * i as f32) {
             for xyz in [[x, 0.8, 1.1], [x, 0.0, 0.0], [0.0, 0.01, x], [x, 0.001, x], [0.0, x, 0.0]] {
@@ -348,7 +348,7 @@ mod tests {
 
     /// A file keeps chromaticities as floats: what comes back must give the same conversion to the bit.
     #[test]
-    fn what_a_file_rounds_does_not_matter() {
+    fn rounding_in_a_transforms_file_does_not_matter() {
         let float = |xy: [f64; 2]| xy.map(|v| f64::from(v as f32));
         for p in Space::iter().map(Space::primaries) {
             let read =

@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn a_brightened_grey_keeps_what_rounding_loses() {
+    fn brightened_grey_keeps_fractions_of_codes() {
         let of = |samples| Frame::new("a".into(), 1, 1, samples, Exposure::given(0.0).unwrap());
         // (54 + 2 * 183) / 256 = 1.64, of which 1 is left; times 64 it is 105.
         let dark = of(Samples::Eight(vec![1, 2, 0]));

@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn canon_says_which_frame_of_a_bracket_it_is() {
+    fn position_in_the_bracket_is_read_from_canon_maker_notes() {
         let unplaced = canon(0, 0);
         let Value::Undefined(_, begin) = unplaced.get_field(Tag::MakerNote, In::PRIMARY).unwrap().value else {
             panic!()

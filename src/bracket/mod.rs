@@ -387,7 +387,7 @@ mod tests {
     }
 
     #[test]
-    fn one_frame_or_two_sizes_are_no_bracket() {
+    fn one_frame_or_two_sizes_are_an_error() {
         let auto = ReferenceChoice::Auto;
         assert!(matches!(Bracket::new(vec![frame("a", 3, 0.0)], &auto), Err(Error::TooFewFrames { given: 1 })));
         let odd = Bracket::new(vec![frame("a", 3, 0.0), frame("b", 4, 1.0)], &auto);

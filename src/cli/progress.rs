@@ -307,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stage_that_takes_too_long_never_ends_by_itself_and_nothing_goes_back() {
+    fn progress_of_a_slow_stage_neither_ends_nor_goes_back() {
         let mut course = Course::new(plan());
         course.begins(Stage::Load, 0.0);
         course.begins(Stage::Align, 1.0);
@@ -340,7 +340,7 @@ mod tests {
     }
 
     #[test]
-    fn time_left_is_no_more_exact_than_it_is_known() {
+    fn time_left_is_rounded_to_its_uncertainty() {
         let words = |s| left(Some(s));
         assert_eq!([0.3, 4.4, 33.0, 200.0].map(words), ["nearly done", "4 s left", "35 s left", "3 min left"]);
         assert_eq!((words(9000.0).as_str(), left(None).as_str()), ("2.5 h left", ""));

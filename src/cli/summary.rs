@@ -277,7 +277,7 @@ mod tests {
     }
 
     #[test]
-    fn there_are_six_lines_whatever_happened_and_none_is_wider_than_the_terminal() {
+    fn summary_has_six_lines_within_the_terminal_width() {
         let mut report = report();
         let long = format!("/home/someone/{}", "photographs/".repeat(12));
         let mut seen = Vec::new();

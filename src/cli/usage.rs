@@ -50,7 +50,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn tips_are_what_may_be_meant() {
+    fn tips_suggest_similar_names() {
         for (typed, name) in [("--aling", "--align"), ("--refrence", "--reference"), ("drgo", "drago")] {
             assert!(is_likely(typed, name), "{typed} {name}");
         }

@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_the_textbooks() {
+    fn result_equals_the_textbook_version() {
         let a = texture(40, 33);
         let b = Plane::from_rows(40, 33, |y, row| {
             (0..40).for_each(|x| row[x] = 0.9 * a.at(x, y) + noise(x * 31 + y) * 0.1)

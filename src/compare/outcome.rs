@@ -191,7 +191,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_all_is_reported_as_all_and_only_nothing_as_nothing() {
+    fn percentages_round_to_0_and_100_only_if_exact() {
         let shown = [100.0, 99.999, 99.94, 99.5, 99.4, 12.3, 0.26, 0.004, 0.0001].map(percent);
         let expected = ["100 %", "99.9 %", "99.9 %", "99.5 %", "99 %", "12 %", "0.3 %", "0.004 %", "under 0.001 %"];
         assert_eq!(shown, expected);

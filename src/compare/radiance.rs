@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn above_the_floor_it_is_the_ratio_and_below_it_is_finite() {
+    fn difference_in_stops_is_the_ratio_above_the_floor_and_finite_below() {
         // Floats are within 6e-8 of what is meant, 9e-8 stops.
         assert!((difference(3.0, 12.0, 1.0).unwrap() - 2.0).abs() < 1e-6);
         assert!((difference(12.0, 3.0, 1.0).unwrap() + 2.0).abs() < 1e-6);
@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gain_is_reported_with_its_sign() {
+    fn gain_is_printed_with_its_sign() {
         let gain = libm::exp2(-0.02) as f32;
         let found = measure(&ramp(1.0), &ramp(gain), &Metadata::default());
         let gain = found.radiance.unwrap();
@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_number_in_one_alone_is_counted() {
+    fn nan_in_one_file_only_is_counted() {
         let mut odd = ramp(1.0);
         odd.pixels.as_mut_slice()[7] = [f32::NAN, 1.0, 1.0];
         let found = measure(&ramp(1.0), &odd, &Metadata::default());

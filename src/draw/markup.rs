@@ -67,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn nothing_gets_out_of_its_place() {
+    fn names_stay_inside_their_folder() {
         let hostile = "<img src=x onerror=\"a('b')\">&\n\u{7}\u{202e}gpj";
         let safe = escape(hostile);
         assert_eq!(safe, "&lt;img src=x onerror=&quot;a(&#39;b&#39;)&quot;&gt;&amp; \u{fffd}\u{fffd}gpj");

@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn values_lie_between_the_axes() {
+    fn values_are_between_the_axes() {
         let area = Area { x: 50.0, y: 10.0, width: 200.0, height: 100.0 };
         let plot = Plot { area, x: Axis::round(-4.0, 6.0, 5, "x"), y: Axis::round(0.0, 0.5, 5, "y") };
         assert_eq!([plot.x(-4.0), plot.x(1.0), plot.x(6.0), plot.x(8.0)], [50.0, 150.0, 250.0, 290.0]);

@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn small_pictures_stay_as_they_are() {
+    fn small_pictures_are_unchanged() {
         let mut reduced = Reduced::new((3, 2), within((3, 2), 400));
         let pixels: Vec<[u8; 3]> = (0..6).map(|i| [i, 2 * i, 255 - i]).collect();
         reduced.push(&pixels);

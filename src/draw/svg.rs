@@ -322,7 +322,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_well_formed_whatever_the_text() {
+    fn markup_is_well_formed_for_any_text() {
         let svg = page().to_svg();
         let tree = usvg::roxmltree::Document::parse(&svg).unwrap();
         let words: Vec<_> = tree

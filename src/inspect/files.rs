@@ -122,7 +122,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_cannot_be_is_refused_before_any_work() {
+    fn impossible_options_are_rejected_before_any_work() {
         let dir = tempfile::tempdir().unwrap();
         let at = |name: &str| dir.path().join(name);
         let images = [at("a.jpg"), at("b.jpg")];

@@ -40,7 +40,7 @@ fn drawn(sheet: Option<Sheet>) -> Drawing {
 }
 
 #[test]
-fn tables_say_what_is_known() {
+fn tables_contain_the_known_values() {
     with_inspection(|inspection| {
         let tables = inspection.tables();
         let json: serde_json::Value = serde_json::from_str(&tables.to_json()).unwrap();
@@ -86,7 +86,7 @@ fn the_text_has_every_table_and_a_row_for_each_photograph() {
 }
 
 #[test]
-fn every_sheet_is_well_formed_and_as_large_as_it_says() {
+fn every_sheet_is_well_formed_with_its_stated_size() {
     with_inspection(|inspection| {
         for i in 0..3 {
             let expected = if i == 1 { 3 } else { 6 };
@@ -134,7 +134,7 @@ fn a_rejected_frame_is_drawn_without_an_after() {
 }
 
 #[test]
-fn bitmaps_that_speak_against_a_place_are_reported() {
+fn bitmaps_that_contradict_a_transform_are_reported() {
     let (bracket, options) = (bracket(), AlignOptions::default());
     let (mut alignment, warnings) = align::align(&bracket, &options).unwrap();
     let warning = "the bitmaps differ more after alignment than before";

@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn assumed_frames_have_part_in_what_the_others_clip_or_is_black_and_in_nothing_else() {
+    fn assumed_frames_are_merged_only_where_others_are_clipped_or_black() {
         let (bracket, alignment) = bracket(|x, _| ramp(x));
         let (all, whole) = merged(&bracket, &alignment);
         let (without, fewer) = merged(&bracket, &with(&alignment, Status::Rejected));
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn displaced_frame_takes_nothing_off_what_is_known() {
+    fn displaced_frame_does_not_reduce_known_confidence() {
         // A lamp, and a frame in which it lies ten pixels to the right.
         let lamp = |at: usize, x: usize| if x.abs_diff(at) <= 20 { [200.0; 3] } else { [0.02; 3] };
         let (bracket, mut alignment) = bracket(|x, _| lamp(150, x));

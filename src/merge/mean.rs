@@ -276,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn every_pixel_is_what_the_equation_says() {
+    fn every_pixel_follows_the_equation() {
         let codes = |j: usize, x: usize, y: usize| {
             std::array::from_fn(|c| ((37 * x + 61 * y + 89 * j + 23 * c + x * y * (j + 2)) % 250) as u8)
         };
@@ -308,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn what_glints_in_a_shorter_frame_does_not_silence_a_longer_one_that_shows_none() {
+    fn glint_in_a_shorter_frame_does_not_exclude_a_longer_one() {
         let of = |glint: u8| {
             let (bracket, alignment) = bracket(&[(-2.0, &|_, _| [glint; 3]), (0.0, &|_, _| [120; 3])]);
             merged(&bracket, &alignment, Weight::Hat)[31][1]

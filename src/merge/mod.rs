@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn the_radiance_is_that_of_the_scene_and_seams_are_nowhere() {
+    fn radiance_equals_that_of_the_scene_without_seams() {
         let (bracket, alignment) = still((240, 70), &[0.125, 1.0, 8.0], ramp);
         for weight in [Weight::Hat, Weight::Gaussian, Weight::Plateau] {
             let (map, report) = run(&bracket, &alignment, weight);
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn what_all_frames_clip_is_bright_and_grey_and_what_none_sees_is_dark() {
+    fn all_clipped_is_bright_and_grey_and_all_black_is_dark() {
         let (bracket, alignment) = still((8, 3), &[1.0, 4.0], |x, _| if x < 4 { [90.0, 80.0, 70.0] } else { [0.0; 3] });
         let (map, report) = run(&bracket, &alignment, Weight::Hat);
         assert_eq!((report.all_clipped, report.all_black), (12, 12));

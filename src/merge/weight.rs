@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn weights_are_nothing_at_the_ends_and_rise_between() {
+    fn weights_are_zero_at_the_ends_and_rise_between() {
         let srgb = ResponseCurve::srgb();
         for weight in [Weight::Hat, Weight::Gaussian, Weight::Plateau, Weight::MannPicard, Weight::Noise] {
             let w = table(weight, &srgb);

@@ -121,7 +121,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn words_are_escaped_and_what_lies_outside_is_at_the_edge() {
+    fn texts_are_escaped_and_points_outside_are_moved_to_the_edge() {
         let (x, y) = (Axis::round(-4.0, 6.0, 5, "x, stops"), Axis::round(0.0, 0.5, 5, "y"));
         let figure = Figure::new((400.0, 200.0), 0.0, x, y);
         assert_eq!((figure.x(-4.0), figure.x(6.0), figure.y(0.0)), (LEFT, 400.0 - RIGHT, 200.0 - BELOW));

@@ -70,7 +70,7 @@ mod tests {
     use crate::merge::deghost::Deghost;
 
     #[test]
-    fn a_run_that_only_aligns_was_asked_for_no_radiance() {
+    fn options_of_an_alignment_have_no_radiance() {
         let options = Options {
             response_file: Some("c.json".into()),
             deghost: Deghost::Strength(0.25),

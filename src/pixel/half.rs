@@ -107,7 +107,7 @@ mod tests {
 
     /// Compared with the `half` crate for every half float, every midpoint between two, and the floats next to it.
     #[test]
-    fn halves_are_rounded_as_the_standard_says() {
+    fn halves_are_rounded_by_the_standard() {
         for h in 0..0x7bffu16 {
             let (low, high) = (f16::from_bits(h).to_f32(), f16::from_bits(h + 1).to_f32());
             let middle = (low + high) / 2.0;
@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn planes_hold_what_pixels_held() {
+    fn planes_contain_the_values_of_the_pixels() {
         let pixels: Vec<[f32; 3]> =
             (0..2500).map(|i| [i as f32 * 0.37 - 99.0, 65000.0 + i as f32, 1e-7 * i as f32]).collect();
         let size = pixels.len();

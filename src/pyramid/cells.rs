@@ -82,7 +82,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_pixel_lies_between_the_centres_of_cells() {
+    fn pixel_is_interpolated_between_the_centres_of_cells() {
         // Cells of 4 pixels have their centres at 1.5, 5.5, 9.5.
         assert_eq!(
             [0, 1, 2, 5, 6].map(|x| between_cells(x, 4, 3)),
@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn gathered_is_the_double_sum_over_what_there_is() {
+    fn gathered_cells_equal_the_double_sum() {
         let plane = Plane::from_vec(7, 70, (0..490).map(|i: u32| i * i % 11).collect());
         let sums = gathered(&plane, 2, |sum, v| *sum += v);
         for (y, x) in (0..70).flat_map(|y| (0..7).map(move |x| (y, x))) {

@@ -171,7 +171,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn content_decides_and_what_is_no_radiance_is_named() {
+    fn format_is_detected_by_content_and_pictures_are_named() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("x.exr");
         for (bytes, named) in [

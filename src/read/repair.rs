@@ -81,7 +81,7 @@ mod tests {
     use crate::plane::Plane;
 
     #[test]
-    fn what_no_stage_takes_is_corrected_and_counted() {
+    fn invalid_values_are_corrected_and_counted() {
         let odd = vec![
             [f32::NAN, 1.0, 1.0],
             [f32::INFINITY, 2.0, 7.0],

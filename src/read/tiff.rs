@@ -271,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn our_own_come_back_to_the_bit_with_what_is_known() {
+    fn own_files_are_read_back_exactly_with_metadata() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("x.tif");
         let mut metadata = Metadata {

@@ -321,7 +321,7 @@ mod tests {
     use crate::bracket::{ReferenceChoice, Samples};
 
     #[test]
-    fn the_extension_tells_the_format() {
+    fn format_is_selected_by_the_extension() {
         let of = |name: &str| Format::of(Path::new(name)).ok();
         assert_eq!(["r.json", "a/R.HTML", "r.htm"].map(of), [Format::Json, Format::Html, Format::Html].map(Some));
         assert_eq!(["r.txt", "r", ".html"].map(of), [None; 3]);

@@ -112,7 +112,7 @@ mod tests {
     use crate::bracket::colour::Primaries;
 
     #[test]
-    fn the_unit_is_reported() {
+    fn unit_is_in_the_header() {
         let map = RadianceMap { pixels: Plane::filled(4, 2, [0.5; 3]), primaries: Primaries::BT2020 };
         let json = |luminance| -> serde_json::Value {
             let metadata = Metadata { cd_m2_per_unit: Option::and_then(luminance, Factor::new), ..Metadata::default() };
@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_black_has_no_part_in_the_statistics() {
+    fn black_pixels_are_not_in_the_statistics() {
         let report = |pixels: Vec<[f32; 3]>| {
             let map = RadianceMap { pixels: Plane::from_vec(pixels.len(), 1, pixels), primaries: Primaries::SRGB };
             TonemapReport::new(Path::new("a.tif"), &map, &Metadata::default()).radiance

@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn what_moved_does_not_bend_the_curve() {
+    fn motion_does_not_affect_the_curve() {
         let mut samples = scene(600, &[-2.0, 0.0, 2.0], |x| libm::pow(x, 1.0 / 2.2));
         for sample in samples.iter_mut().step_by(8) {
             let last = sample.views.len() - 1;
@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn what_tells_no_curve_is_refused_in_words() {
+    fn samples_that_do_not_determine_a_curve_give_a_reason() {
         let why = |samples: &[Sample]| channel(samples, &Options::default()).unwrap_err();
         let gamma = |x: f64| libm::pow(x, 1.0 / 2.2);
         assert!(why(&scene(10, &[0.0, 2.0], gamma)).contains("flat places"));

@@ -345,7 +345,7 @@ mod tests {
     }
 
     #[test]
-    fn what_tells_no_curve_is_refused() {
+    fn samples_that_do_not_determine_a_curve_are_rejected() {
         assert!(channel(&scene(10, &[0.0, 2.0], |x| x.sqrt()), &Options::default()).is_err());
         assert!(Options { degree: Some(11), ..Options::default() }.validate().is_err());
         assert!(Options { degree: Some(0), ..Options::default() }.validate().is_err());

@@ -38,7 +38,7 @@ fn tiles(x: usize, y: usize) -> [f64; 3] {
 }
 
 #[test]
-fn a_bracket_tells_its_curve_and_grey_stays_grey() {
+fn curve_of_a_bracket_is_recovered_and_grey_stays_grey() {
     let (bracket, alignment) = still((400, 300), &[0.25, 1.0, 4.0], tiles);
     let (curve, report, warnings) = recover(&bracket, &alignment, &ResponseModel::default()).unwrap();
     assert!(warnings.is_empty() && report.channels.is_some(), "{report:?}");
@@ -73,7 +73,7 @@ fn sought() -> [ResponseModel; 3] {
 }
 
 #[test]
-fn every_model_tells_the_curve_and_its_name() {
+fn every_model_recovers_the_curve() {
     let (bracket, alignment) = still((400, 300), &[0.25, 1.0, 4.0], tiles);
     for (model, name) in sought().iter().zip(["debevec", "robertson", "mitsunaga-nayar"]) {
         let (curve, report, warnings) = recover(&bracket, &alignment, model).unwrap();
@@ -87,7 +87,7 @@ fn every_model_tells_the_curve_and_its_name() {
 }
 
 #[test]
-fn a_channel_that_tells_nothing_borrows_with_a_warning() {
+fn undetermined_channel_borrows_the_curve_with_a_warning() {
     let (bracket, alignment) = still((400, 300), &[0.25, 1.0, 4.0], |x, y| {
         let [r, g, _] = tiles(x, y);
         [r, g, 0.0]
@@ -101,7 +101,7 @@ fn a_channel_that_tells_nothing_borrows_with_a_warning() {
 }
 
 #[test]
-fn brackets_of_one_camera_tell_more_together() {
+fn brackets_of_one_camera_give_a_better_curve_together() {
     // One bracket shows the shadows of the curve, the other the rest, at unrelated exposures.
     let dark = still((400, 300), &[0.25, 1.0], |x, y| tiles(x, y).map(|e| 0.02 * e));
     let bright = still((400, 300), &[30.0, 60.0, 120.0], |x, y| tiles(x, y).map(|e| 0.001 + e / 120.0));
@@ -128,7 +128,7 @@ fn one_curve_on_any_number_of_threads() {
 }
 
 #[test]
-fn a_bracket_that_tells_nothing_gets_the_stated_curve_and_a_warning() {
+fn undetermined_curve_is_replaced_by_srgb_with_a_warning() {
     for (times, radiance) in [([1.0, 1.0 + 1e-9], 0.2), ([1.0, 4.0], 9.0), ([1.0, 4.0], 0.0)] {
         let (bracket, alignment) = still((100, 80), &times, |_, _| [radiance; 3]);
         let (curve, report, warnings) = recover(&bracket, &alignment, &ResponseModel::default()).unwrap();
@@ -138,7 +138,7 @@ fn a_bracket_that_tells_nothing_gets_the_stated_curve_and_a_warning() {
 }
 
 #[test]
-fn stated_curves_are_what_they_state() {
+fn linear_and_srgb_curves_follow_their_definitions() {
     let srgb = ResponseCurve::srgb();
     // Code 188 of sRGB is 0.5029 of the light of 255 (calculated from the standard's formula).
     assert!((srgb.exposure(0, 188.0) / srgb.exposure(0, 255.0) - 0.5029).abs() < 1e-4);

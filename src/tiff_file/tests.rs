@@ -134,7 +134,7 @@ fn bits_are_turned_round_by_fill_order_once_and_never_those_of_jpeg() {
 }
 
 #[test]
-fn the_picture_is_the_first_that_is_no_thumbnail_and_mosaics_are_raw() {
+fn first_picture_without_thumbnails_is_used_and_mosaics_are_raw() {
     let data: Vec<u8> = (0..60).collect();
     let thumbnail = || with(rgb(1, 1, DATA + 30), (254, 4, vec![1]));
     let which = |directories: &[Entries]| {

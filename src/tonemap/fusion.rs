@@ -166,7 +166,7 @@ mod tests {
 
     /// The left half is well exposed in one frame, the right half in the other: away from the middle the fused picture is of that frame.
     #[test]
-    fn of_each_frame_what_is_well_exposed() {
+    fn each_frame_contributes_where_it_is_well_exposed() {
         let half = |left: f32, right: f32| -> Channels {
             [1.0, 0.9, 0.8].map(|tint| {
                 Plane::from_rows(256, 64, |_, row| {
@@ -184,7 +184,7 @@ mod tests {
 
     /// For flat frames the pyramids of section 3.2 give the same as a single level, a weighted mean.
     #[test]
-    fn flat_frames_give_their_weighted_mean_and_what_is_outside_counts_nothing() {
+    fn uniform_frames_give_their_weighted_mean_without_outside_pixels() {
         let frames = [flat([0.2, 0.3, 0.4], (40, 30)), flat([0.6, 0.5, 0.7], (40, 30)), flat([-1.0; 3], (40, 30))];
         let weights: Vec<f32> = frames.iter().map(|f| weights(f, &Options::default()).at(20, 15)).collect();
         assert_eq!(weights[2], 0.0);

@@ -205,7 +205,7 @@ mod tests {
     /// Found by the property tests: for luminances above 2^127 times the key the local shoulder function gave NaN,
     /// and so did the index of the tone table.
     #[test]
-    fn the_ends_of_what_floats_hold_give_a_picture() {
+    fn extreme_floats_give_a_picture() {
         let ends = [[f32::MAX; 3], [1e-45; 3], [1.0; 3], [1e-30, 1.0, f32::MAX], [0.0; 3], [1e30, 1e-30, 0.0]];
         for operator in Operator::iter() {
             for side in [2usize, 6, 40] {
@@ -219,7 +219,7 @@ mod tests {
 
     /// Radiance 1 gives the middle code value; 4.7 and above gives white (1 / 0.2159 = 4.63); the smallest code value above 0 is at 0.00014 / 0.2159.
     #[test]
-    fn one_tone_is_what_the_photographs_showed() {
+    fn uniform_scene_keeps_the_colour_of_the_photographs() {
         for operator in Operator::iter() {
             let code = |pixel: [f32; 3], size: (usize, usize)| {
                 let pixels = Plane::filled(size.0, size.1, pixel);

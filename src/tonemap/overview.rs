@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn without_light_there_is_no_scene() {
+    fn black_map_has_no_scene() {
         for value in [0.0, -1.0, f32::NAN, f32::INFINITY] {
             let mut overview = Overview::new((5, 4), &Primaries::SRGB);
             overview.see(0, &Plane::filled(5, 4, [value; 3]));

@@ -305,7 +305,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_light_is_black_and_beyond_all_light_is_white() {
+    fn zero_is_black_and_infinity_is_white() {
         let tones = tones(Guide::shifted(0.0));
         let mut codes = [[7u8; 3]; 6];
         let rows = [[0.0; 3], [f32::NAN; 3], [-1.0; 3], [f32::MAX; 3], [f32::INFINITY; 3], [1e-42; 3]];

@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn without_exif_it_says_what_headers_say() {
+    fn without_exif_the_report_has_the_data_of_headers() {
         let capture = Capture { make: Some("Maker".into()), focal_length_mm: Some(50.0), ..Capture::default() };
         let metadata = Metadata { capture, time_s: Some(0.02), iso: Some(409_600.0), ..Metadata::default() };
         let exif = read(&metadata);
@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_carried_is_kept_and_what_the_file_is_is_put_right() {
+    fn copied_exif_is_kept_and_properties_of_the_file_are_corrected() {
         let first = Metadata { time_s: Some(0.5), iso: Some(100.0), ..Metadata::default() };
         // A block with another size and program, as in an edited photograph.
         let other = Metadata { software: "other".into(), ..first };

@@ -316,7 +316,7 @@ mod tests {
     use crate::write::{commit, write};
 
     #[test]
-    fn all_formats_are_written_or_none() {
+    fn all_formats_are_written_or_no_file() {
         let dir = tempfile::tempdir().unwrap();
         let paths: Vec<PathBuf> =
             ["a.exr", "a.hdr", "a.tif", "a.png", "a.jpg"].iter().map(|n| dir.path().join(n)).collect();

@@ -300,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn overflow_is_reported() {
+    fn values_out_of_range_are_reported() {
         let (_, warnings) = written(&Plane::filled(9, 1, [f32::MAX, 1.0, 1.0]), &Metadata::default());
         assert!(matches!(&warnings[..], [Warning::OutOfRange { detail, .. }] if detail.starts_with("9 values")));
     }

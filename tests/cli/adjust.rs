@@ -88,7 +88,7 @@ fn every_option_changes_the_picture_of_every_command_and_operator_alike() {
 }
 
 #[test]
-fn what_is_not_asked_for_changes_no_byte_and_radiance_never_changes() {
+fn unused_adjustments_change_no_byte_and_radiance_never_changes() {
     let folder = Folder::with_bracket();
     let nothing = "--white-balance as-shot --brightness 0 --contrast 0 --saturation 0 --shadows 0 --highlights 0";
     for tmo in ["natural", "mertens"] {
@@ -133,7 +133,7 @@ fn merge_and_tonemap_give_the_same_adjusted_picture_on_any_threads() {
 }
 
 #[test]
-fn white_that_was_found_is_reported_and_gives_the_same_picture() {
+fn estimated_white_is_reported_and_reproduces_the_picture() {
     let folder = Folder::with_bracket();
     folder.line(&format!("{MERGE} -o a.exr --exr-type float")).done();
     for white in ["auto", "spot:150,150"] {
@@ -151,7 +151,7 @@ fn white_that_was_found_is_reported_and_gives_the_same_picture() {
 }
 
 #[test]
-fn what_cannot_be_done_is_refused_with_the_remedy() {
+fn impossible_requests_are_errors_with_the_remedy() {
     let folder = Folder::with_bracket();
     folder.line(&format!("{MERGE} -o a.exr --exr-type float")).done();
     let before = folder.listing();

@@ -48,7 +48,7 @@ fn counts(folder: &Folder) -> [u64; 4] {
 }
 
 #[test]
-fn a_card_is_merged_as_it_is() {
+fn simulated_card_is_merged() {
     let folder = Folder::empty();
     let paths = card(&folder, 3);
     let run = folder.line("batch in -d out").done();
@@ -81,7 +81,7 @@ fn csv_rows(folder: &Folder) -> Vec<String> {
 }
 
 #[test]
-fn what_would_be_done_is_reported_first() {
+fn dry_run_lists_the_brackets() {
     let folder = Folder::empty();
     let mut card = Card::new(96);
     card.brackets(2, 3, 2.0).single(0.0);
@@ -102,7 +102,7 @@ fn what_would_be_done_is_reported_first() {
 }
 
 #[test]
-fn where_there_is_no_bracket_it_says_why() {
+fn missing_brackets_are_explained() {
     let folder = Folder::empty();
     std::fs::create_dir(folder.at("in")).unwrap();
     let nothing = |line: &str, said: &str| {
@@ -123,7 +123,7 @@ fn where_there_is_no_bracket_it_says_why() {
 }
 
 #[test]
-fn results_have_the_names_and_formats_asked_for() {
+fn results_have_the_requested_names_and_formats() {
     let folder = Folder::empty();
     card(&folder, 3);
     let run = folder.run([
@@ -159,7 +159,7 @@ fn results_have_the_names_and_formats_asked_for() {
 }
 
 #[test]
-fn a_bad_bracket_stops_nothing() {
+fn unusable_bracket_does_not_stop_the_batch() {
     let folder = Folder::empty();
     let mut card = Card::new(150);
     card.brackets(1, 3, 2.0).brackets(1, 3, 2.0).last().is_truncated = true;

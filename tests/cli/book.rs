@@ -120,7 +120,7 @@ fn anchors(text: &str) -> BTreeSet<String> {
 }
 
 #[test]
-fn every_link_leads_to_a_file_and_heading() {
+fn every_link_has_a_target() {
     let mut count = 0;
     for page in pages(&root().join("docs")).into_iter().chain([root().join("README.md")]) {
         let text = text(&page);
@@ -171,7 +171,7 @@ fn compare(path: &str, actual: &str) {
 }
 
 #[test]
-fn page_of_options_is_what_help_prints() {
+fn page_of_options_equals_the_help() {
     let folder = Folder::empty();
     let mut page = String::from(
         "# Commands and options\n\nThis page is what `hdralign COMMAND --help` prints. `hdralign COMMAND -h` is the short form.\n",

@@ -19,7 +19,7 @@ fn field(path: &Path, tag: Tag) -> Option<String> {
 }
 
 #[test]
-fn a_card_carries_what_a_camera_writes() {
+fn simulated_card_has_the_metadata_of_a_camera() {
     let folder = Folder::empty();
     let mut card = Card::new(96);
     card.folder = "DCIM/100TEST".into();

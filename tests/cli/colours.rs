@@ -53,7 +53,7 @@ fn gama(gamma: f64) -> Vec<u8> {
 }
 
 #[test]
-fn png_says_its_colours_by_chunks_and_what_is_not_understood_is_reported() {
+fn png_colour_chunks_are_read_and_unsupported_ones_reported() {
     let folder = Folder::empty();
     let merged = |chunks: &[Chunk]| {
         for i in 2..=4 {

@@ -106,7 +106,7 @@ fn a_shift_a_gain_and_a_swapped_channel_are_caught_in_radiance() {
 }
 
 #[test]
-fn a_lossless_encoding_passes_and_what_rounds_coarsely_does_not() {
+fn lossless_encoding_passes_and_coarse_rounding_fails() {
     let folder = Folder::empty();
     put(&folder, "a.exr", scene(), &float());
     let exr = |compression| Options {
@@ -229,7 +229,7 @@ fn sizes_odd_values_and_headers() {
 }
 
 #[test]
-fn what_cannot_be_compared_is_trouble_and_not_a_difference() {
+fn incomparable_files_are_an_error_and_not_a_difference() {
     let folder = Folder::empty();
     put(&folder, "a.exr", scene(), &float());
     picture().save(folder.at("a.png")).unwrap();
@@ -260,7 +260,7 @@ fn what_cannot_be_compared_is_trouble_and_not_a_difference() {
 }
 
 #[test]
-fn blessing_copies_and_says_so() {
+fn bless_copies_the_file_and_reports_it() {
     let folder = Folder::empty();
     put(&folder, "new.exr", scene(), &float());
     let run = folder.line("compare golden.exr new.exr --bless").done();
@@ -346,7 +346,7 @@ fn with_white(bytes: &[u8], value: f32) -> Vec<u8> {
 
 /// Found by a review: such a file became black as `.hdr`, and all black compared as equal.
 #[test]
-fn a_unit_that_is_no_number_is_not_used_and_black_is_not_the_same() {
+fn invalid_unit_is_ignored_and_black_is_not_equal() {
     let folder = Folder::empty();
     let put_in = |name: &str, unit: Option<f64>, pixels: Plane<[f32; 3]>| {
         let map = RadianceMap { pixels, primaries: Primaries::SRGB };
@@ -379,7 +379,7 @@ fn a_unit_that_is_no_number_is_not_used_and_black_is_not_the_same() {
 
 /// Alpha, depth and a second view, as renderers write them in addition to the colours.
 #[test]
-fn what_is_not_compared_of_an_exr_or_a_tiff_is_reported() {
+fn ignored_parts_of_exr_and_tiff_are_reported() {
     use exr::prelude::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, WritableImage};
     let folder = Folder::empty();
     let write = |name: &str, parts: &[(&str, &[&str])]| {

@@ -4,7 +4,7 @@ use crate::support::{Folder, jpeg, small};
 use image::Rgb;
 
 #[test]
-fn what_one_frame_shows_is_left_out_and_the_mask_says_where() {
+fn ghost_is_removed_and_shown_in_the_mask() {
     let folder = Folder::with_bracket();
     let mut painted = small(4);
     for (x, y) in (130..170).flat_map(|x| (80..120).map(move |y| (x, y))) {
@@ -37,7 +37,7 @@ fn what_one_frame_shows_is_left_out_and_the_mask_says_where() {
 }
 
 #[test]
-fn flare_is_sought_where_it_is_asked_for() {
+fn flare_is_estimated_on_request() {
     let folder = Folder::with_bracket();
     folder.line("merge w2.jpg w3.jpg w4.jpg -o a.exr --flare --report r.json").done();
     let report: serde_json::Value = serde_json::from_slice(&folder.bytes("r.json")).expect("JSON");
@@ -48,7 +48,7 @@ fn flare_is_sought_where_it_is_asked_for() {
 }
 
 #[test]
-fn what_makes_no_sense_is_refused_before_any_work() {
+fn contradicting_options_are_rejected_before_any_work() {
     let folder = Folder::with_bracket();
     let before = folder.listing();
     for (options, said) in [
@@ -73,7 +73,7 @@ fn square(folder: &Folder, picture: &str) -> f64 {
 }
 
 #[test]
-fn what_one_frame_shows_is_in_no_picture_of_any_operator_unless_asked_for() {
+fn ghosts_are_removed_for_every_operator_unless_off() {
     let folder = Folder::with_bracket();
     let mut painted = small(4);
     for (x, y) in (130..170).flat_map(|x| (80..120).map(move |y| (x, y))) {

@@ -143,7 +143,7 @@ fn results_are_the_goldens_to_the_byte() {
 }
 
 #[test]
-fn a_difference_is_shown_between_what_was_expected_and_what_came() {
+fn difference_picture_is_between_expected_and_actual() {
     let (a, b) = (RgbImage::from_pixel(2, 1, Rgb([10, 20, 30])), RgbImage::from_pixel(2, 2, Rgb([11, 20, 28])));
     let shown = side_by_side(&a, &b);
     assert_eq!(shown.dimensions(), (14, 2));

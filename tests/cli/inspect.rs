@@ -25,7 +25,7 @@ fn names(folder: &Folder, name: &str) -> BTreeSet<String> {
 }
 
 #[test]
-fn everything_listed_is_there_and_whole_and_nothing_else_is() {
+fn listed_files_are_complete_and_no_others_exist() {
     let folder = Folder::with_bracket();
     let run = folder.line("inspect w2.jpg w4.jpg w3.jpg --reference w3.jpg -d look").done();
     let listed: BTreeSet<String> = run.stdout.lines().map(|p| p.replacen("look/", "", 1)).collect();
@@ -92,7 +92,7 @@ fn the_folder_is_named_for_the_first_and_the_last_and_may_be_there() {
 }
 
 #[test]
-fn what_exists_is_kept_unless_forced() {
+fn existing_files_are_kept_unless_forced() {
     let folder = Folder::with_bracket();
     fs::create_dir(folder.at("look")).expect("a folder");
     folder.put("look/w2.xor.svg", b"old");
@@ -108,7 +108,7 @@ fn what_exists_is_kept_unless_forced() {
 }
 
 #[test]
-fn what_cannot_be_done_leaves_nothing_behind() {
+fn failed_batches_leave_no_files() {
     let folder = Folder::with_bracket();
     fs::create_dir(folder.at("other")).expect("a folder");
     folder.put("other/w2.png", small_jpeg(3));

@@ -160,7 +160,7 @@ fn is_complete(folder: &Path, whole: &BTreeMap<PathBuf, Vec<u8>>) -> bool {
 }
 
 #[test]
-fn no_kill_damages_what_has_a_name_or_leaves_what_the_next_run_does_not_clear() {
+fn killed_runs_leave_complete_files_and_temporary_ones_that_are_removed() {
     let folder = Folder::empty();
     for i in 2..=4 {
         let picture = image::open(window(i)).expect("a frame").to_rgb8();
@@ -232,7 +232,7 @@ fn no_kill_damages_what_has_a_name_or_leaves_what_the_next_run_does_not_clear() 
 /// A run that is killed while it writes, as its temporary files show; on a system without anonymous files.
 #[test]
 #[ignore = "filters system calls; .ci/run runs it where the system allows that"]
-fn what_a_killed_process_left_is_swept_but_not_what_a_living_one_writes() {
+fn files_of_a_killed_process_are_removed_and_of_a_running_one_kept() {
     let [python, script, lacks] = without("anonymous").expect("a filter of system calls");
     let folder = Folder::with_bracket();
     // Files of the user with names of temporary files.

@@ -122,7 +122,7 @@ fn jpeg_of(width: u16, height: u16) -> Vec<u8> {
 
 #[cfg(unix)]
 #[test]
-fn photographs_that_say_too_much_are_refused_by_their_headers() {
+fn photographs_with_impossible_sizes_are_rejected_by_their_headers() {
     let folder = Folder::with_bracket();
     let some = zeros(1 << 16);
     let bombs: [(&str, Vec<u8>, &[&str]); 10] = [
@@ -147,7 +147,7 @@ fn photographs_that_say_too_much_are_refused_by_their_headers() {
 /// One of each reader of the commands, with the same file.
 #[cfg(unix)]
 #[test]
-fn every_command_refuses_what_says_too_much() {
+fn every_command_rejects_impossible_sizes() {
     let folder = Folder::with_bracket();
     folder.put("a.png", &png(60_000, 60_000, &[], &zeros(1 << 16)));
     for line in [
@@ -167,7 +167,7 @@ fn every_command_refuses_what_says_too_much() {
 /// Compressed data in addition to the picture: a profile, a text.
 #[cfg(unix)]
 #[test]
-fn what_unfolds_beside_the_picture_is_not_unfolded() {
+fn compressed_metadata_are_limited() {
     let folder = Folder::empty();
     let bomb = zeros(1 << 30);
     for i in 2..=3 {
@@ -208,7 +208,7 @@ fn exr_of(folder: &Folder, right: i32, bottom: i32) -> Vec<u8> {
 
 #[cfg(unix)]
 #[test]
-fn radiance_maps_that_say_too_much_are_refused_by_their_headers() {
+fn radiance_maps_with_impossible_sizes_are_rejected_by_their_headers() {
     let folder = Folder::empty();
     let hdr = |size: &str, data: &[u8]| [format!("#?RADIANCE\n\n{size}\n").as_bytes(), data].concat();
     // A pixel, then 255, 255 << 8 and 255 << 16 repetitions of it: 16 million pixels in 16 bytes.
@@ -244,7 +244,7 @@ fn radiance_maps_that_say_too_much_are_refused_by_their_headers() {
 }
 
 #[test]
-fn what_is_allowed_is_as_the_user_says() {
+fn limits_are_set_by_the_user() {
     let folder = Folder::with_bracket();
     // 300 x 200.
     let merge = "merge w2.jpg w3.jpg --align none -q -o";
@@ -274,7 +274,7 @@ fn card() -> (Folder, Vec<PathBuf>, u64) {
 
 /// A plan contains the size that its photographs had, and therefore allows reading them.
 #[test]
-fn a_batch_reads_what_is_allowed_and_a_job_what_was_planned() {
+fn batch_respects_max_pixels_and_job_reads_its_planned_size() {
     let (folder, _, pixels) = card();
     let (less, planning) = (pixels - 1, "batch . -d out --formats png --align none");
     let run = folder.line(&format!("batch . --dry-run --max-pixels {less}"));
@@ -289,7 +289,7 @@ fn a_batch_reads_what_is_allowed_and_a_job_what_was_planned() {
 
 /// A single photograph exceeds the limit for all: 20 MP with 16 bits.
 #[test]
-fn a_photograph_that_does_not_fit_is_named_with_what_it_needs() {
+fn photograph_over_the_memory_limit_is_named_with_its_size() {
     let folder = Folder::empty();
     for name in ["a.tif", "b.tif"] {
         folder.put(name, &grey_tiff((5000, 4000), 16, 1, true, &zeros(40_000_000)));
@@ -338,7 +338,7 @@ fn files_of_absurd_length_are_not_read() {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn devices_and_folders_are_no_photographs() {
+fn devices_and_folders_are_rejected() {
     let folder = Folder::with_bracket();
     fs::create_dir(folder.at("sub.jpg")).expect("a folder");
     let zero = ["/dev/zero", "MB are read"];
@@ -355,7 +355,7 @@ fn devices_and_folders_are_no_photographs() {
 /// A pipe is read to its end; pipes in a folder are not read.
 #[cfg(unix)]
 #[test]
-fn a_pipe_is_a_photograph_where_it_is_named_and_none_where_it_is_found() {
+fn pipe_is_read_if_named_and_ignored_in_a_folder() {
     let folder = Folder::with_bracket();
     assert!(Command::new("mkfifo").arg(folder.at("p.jpg")).status().expect("mkfifo").success());
     let run = folder.line("batch . --dry-run");
@@ -370,7 +370,7 @@ fn a_pipe_is_a_photograph_where_it_is_named_and_none_where_it_is_found() {
 }
 
 #[test]
-fn a_thousand_photographs_are_no_bracket() {
+fn a_thousand_photographs_are_too_many_for_a_bracket() {
     let folder = Folder::empty();
     let names: Vec<String> = (0..1001).map(|i| format!("{i}.jpg")).collect();
     let run = folder.run(["merge".to_owned(), "-oa.png".to_owned()].iter().chain(&names));
@@ -398,7 +398,7 @@ fn padded_jpeg_is_read_in_little_time() {
 /// the program is loaded, in the runtime of C or of Rust, or in our allocations.
 #[cfg(target_os = "linux")]
 #[test]
-fn memory_that_is_refused_leaves_the_result_or_none() {
+fn refused_memory_leaves_the_result_or_no_file() {
     let folder = Folder::empty();
     // 900 x 600: large enough for the frames to matter in comparison with the program.
     for i in 2..=4 {

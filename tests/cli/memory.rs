@@ -64,7 +64,7 @@ fn least(folder: &Folder, line: &str) -> u64 {
 /// Less than the minimum is an error before any work; with the minimum everything works, also on many threads.
 #[cfg(target_os = "linux")]
 #[test]
-fn memory_that_does_not_suffice_is_refused_and_what_is_named_instead_suffices() {
+fn suggested_memory_limit_is_sufficient() {
     let folder = Folder::empty();
     for i in 2..=4 {
         let frame = resize(&small(i), 1500, 1000, FilterType::Triangle);
@@ -92,7 +92,7 @@ fn memory_that_does_not_suffice_is_refused_and_what_is_named_instead_suffices() 
 /// Files that are read completely are rejected if they do not fit: by `tonemap` and `compare`.
 #[cfg(target_os = "linux")]
 #[test]
-fn memory_of_what_is_read_by_itself_is_kept_or_refused() {
+fn memory_limit_applies_to_files_read_completely() {
     let folder = Folder::empty();
     for i in 2..=3 {
         let frame = resize(&small(i), 3000, 2000, FilterType::Triangle);

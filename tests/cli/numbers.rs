@@ -17,7 +17,7 @@ fn range(folder: &Folder, name: &str) -> (f32, f32) {
 
 /// Every writer, with the smallest and largest factors: limited values are counted and reported, and all are finite.
 #[test]
-fn what_a_format_does_not_hold_is_clamped_and_reported() {
+fn values_out_of_range_are_limited_and_reported() {
     let folder = Folder::with_bracket();
     for (factor, at_half) in [("1e20", 65504.0), ("1e-20", 1.0)] {
         let outputs =
@@ -44,7 +44,7 @@ fn what_a_format_does_not_hold_is_clamped_and_reported() {
 }
 
 #[test]
-fn factors_that_are_none_are_refused() {
+fn invalid_factors_are_rejected() {
     let folder = Folder::with_bracket();
     for factor in ["0", "-1", "nan", "inf", "1e21", "1e-21", "1e400", "1e-400"] {
         let run = folder.line(&format!("{MERGE} -o a.exr --calibration-factor={factor}"));
@@ -53,7 +53,7 @@ fn factors_that_are_none_are_refused() {
 }
 
 #[test]
-fn exposures_that_are_none_are_refused() {
+fn invalid_exposures_are_rejected() {
     let folder = Folder::with_bracket();
     for ev in ["nan,0,1", "0,inf,1", "-inf,0,1", "-1000,0,1", "0,41,1", "0,1e400,2"] {
         let run = folder.line(&format!("{MERGE} -o a.exr -e={ev}"));

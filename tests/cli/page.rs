@@ -93,7 +93,7 @@ fn assert_whole(html: &str) {
 }
 
 #[test]
-fn the_page_of_a_merge_has_everything_and_needs_nothing() {
+fn page_of_a_merge_is_complete_and_self_contained() {
     let folder = Folder::empty();
     let mut arguments = vec!["merge".into()];
     arguments.extend((1..=FRAMES).map(window));
@@ -144,7 +144,7 @@ fn the_page_of_a_merge_has_everything_and_needs_nothing() {
 }
 
 #[test]
-fn frames_lie_where_the_result_does() {
+fn frames_on_the_page_are_aligned_with_the_result() {
     let folder = Folder::with_bracket();
     let html = page(&folder, "merge w2.jpg w3.jpg w4.jpg --reference w4.jpg -o a.png");
     let result = image::DynamicImage::from(picture(&html, "class=\"canvas\"")).to_luma8();
@@ -159,7 +159,7 @@ fn frames_lie_where_the_result_does() {
 }
 
 #[test]
-fn large_picture_is_reduced_and_the_page_says_so() {
+fn large_picture_is_reduced_with_a_note() {
     let folder = Folder::empty();
     for (i, stops) in [-1.0, 1.0].iter().enumerate() {
         // Noise, which JPEG compresses badly.
@@ -210,7 +210,7 @@ fn movement_is_laid_over_the_picture() {
 }
 
 #[test]
-fn an_alignment_has_a_page_too_and_json_stays_json() {
+fn align_writes_a_page_or_json_by_extension() {
     let folder = Folder::with_bracket();
     let html = page(&folder, "align w2.jpg w3.jpg w4.jpg");
     assert_whole(&html);
@@ -229,7 +229,7 @@ fn an_alignment_has_a_page_too_and_json_stays_json() {
 }
 
 #[test]
-fn it_is_the_same_but_for_the_times() {
+fn page_is_the_same_except_for_times() {
     let folder = Folder::with_bracket();
     let line = "merge w1.jpg w2.jpg w3.jpg w4.jpg w5.jpg -o a.exr";
     let first = page(&folder, &format!("{line} --threads 1"));
@@ -242,7 +242,7 @@ fn it_is_the_same_but_for_the_times() {
 }
 
 #[test]
-fn names_stay_names_and_warnings_are_said() {
+fn names_are_escaped_and_warnings_are_shown() {
     let folder = Folder::empty();
     let hostile =
         ["<img src=x onerror=alert(1)>.jpg", "\"><script>alert(2)<\u{2044}script>.jpg", "'&amp; onload='x.jpg"];
@@ -279,7 +279,7 @@ fn names_stay_names_and_warnings_are_said() {
 
 #[test]
 #[ignore = "needs Chromium, or HDRALIGN_CHROMIUM to name it"]
-fn in_chromium_it_loads_nothing_and_its_slider_works() {
+fn page_in_chromium_loads_nothing_and_its_slider_works() {
     let program = match std::env::var("HDRALIGN_CHROMIUM") {
         Ok(path) if path != "1" => path,
         _ => "chromium".to_owned(),

@@ -100,7 +100,7 @@ fn difference(a: &[u8], b: &[u8]) -> (f64, u8) {
 
 /// Converted by its profile, a picture in any colour space looks like that in sRGB; without the profile it does not.
 #[test]
-fn colours_of_the_picture_are_reported_by_its_profile_in_every_format() {
+fn profile_describes_the_colours_in_every_format() {
     let folder = Folder::with_bracket();
     folder.line(&format!("{MERGE} -o a.exr --exr-type float")).done();
     for line in ["tonemap a.exr -q --force", &format!("{MERGE} --tmo mertens")] {
@@ -168,7 +168,7 @@ fn gamut_is_that_of_the_picture() {
 }
 
 #[test]
-fn picture_is_what_picture_names_whatever_the_extension() {
+fn picture_option_writes_a_picture_for_any_extension() {
     let folder = Folder::with_bracket();
     let run = folder.line(&format!("{MERGE} -o a.tif --picture b.tif --bit-depth 16 --picture c.png")).done();
     assert_eq!(run.stdout, "a.tif\nb.tif\nc.png\n");
@@ -224,7 +224,7 @@ fn batch_makes_pictures_beside_its_results() {
 /// Without deghosting, which has its own cells, the radiance of a crop has the same bytes as that part of the whole;
 /// all results show the crop.
 #[test]
-fn part_of_the_reference_is_what_the_whole_has_there() {
+fn crop_equals_that_part_of_the_whole() {
     let folder = Folder::with_bracket();
     let merge = "merge w1.jpg w2.jpg w3.jpg w4.jpg --reference w3.jpg --deghost=off --exr-type float -q --force";
     folder.line(&format!("{merge} -C none -o whole.exr")).done();

@@ -94,7 +94,7 @@ fn with_place(change: impl Fn(&mut Value)) -> Folder {
 }
 
 #[test]
-fn small_overlap_is_a_warning_and_none_an_error() {
+fn small_overlap_is_a_warning_and_no_overlap_an_error() {
     let shifted = |dx: f64| {
         with_place(|frame| {
             frame["status"] = "aligned".into();
@@ -117,7 +117,7 @@ fn small_overlap_is_a_warning_and_none_an_error() {
 }
 
 #[test]
-fn rejection_in_transforms_is_warned_of_unless_it_is_the_users() {
+fn rejection_in_transforms_is_a_warning_unless_by_the_user() {
     // Written by hand, without a confidence.
     let folder = with_place(|frame| {
         *frame = serde_json::json!({ "file": "w2.jpg", "status": "rejected", "homography": null, "reason": "a bird" });

@@ -37,7 +37,7 @@ fn a_truncated_jpeg_is_named_and_to_be_copied_again() {
 }
 
 #[test]
-fn a_text_called_jpg_is_named_for_what_it_is() {
+fn text_named_jpg_is_reported_as_text() {
     let folder = Folder::with_bracket();
     folder.put("notes.jpg", b"Dear diary, today I took no photograph.\n");
     refused(&folder, "merge w1.jpg notes.jpg -o a.exr", 1, &["notes.jpg", "text", "leave it out"]);
@@ -46,7 +46,7 @@ fn a_text_called_jpg_is_named_for_what_it_is() {
 }
 
 #[test]
-fn one_photograph_is_no_bracket() {
+fn one_photograph_is_an_error() {
     for command in ["merge", "align", "response", "inspect"] {
         let example = format!("hdralign {command} IMG_1.jpg");
         refused(&Folder::with_bracket(), &format!("{command} w1.jpg"), 2, &["at least two", "1 given", &example]);
@@ -54,7 +54,7 @@ fn one_photograph_is_no_bracket() {
 }
 
 #[test]
-fn a_reference_that_nothing_agrees_with_is_named() {
+fn reference_without_aligned_frames_is_named() {
     let folder = Folder::with_bracket();
     let mut state = 1u32;
     let strange = image::RgbImage::from_fn(small(2).width(), small(2).height(), |_, _| {
@@ -123,7 +123,7 @@ fn a_folder_that_cannot_be_written_is_named() {
 }
 
 #[test]
-fn what_exists_is_kept_unless_forced() {
+fn existing_files_are_kept_unless_forced() {
     let folder = Folder::with_bracket();
     folder.put("old.png", b"precious");
     let line = "merge w2.jpg w3.jpg -o new.exr -o old.png";
@@ -139,7 +139,7 @@ fn what_exists_is_kept_unless_forced() {
 }
 
 #[test]
-fn an_extension_that_is_not_written_is_reported_which_are() {
+fn unsupported_extension_lists_the_supported_ones() {
     let folder = Folder::with_bracket();
     refused(&folder, "merge w1.jpg w2.jpg -o a.bmp", 2, &["a.bmp", ".exr", ".hdr", ".tif", ".png"]);
     refused(&folder, "merge w1.jpg w2.jpg -o a.exr -o noextension", 2, &["noextension", ".exr"]);
@@ -204,7 +204,7 @@ fn options_with_values_that_cannot_be_used_are_wrong_usage() {
 
 /// The second `merge *.jpg` also names the results of the first.
 #[test]
-fn results_are_no_photographs() {
+fn results_are_not_used_as_photographs() {
     let folder = Folder::with_bracket();
     let frames = "w2.jpg w3.jpg w4.jpg";
     folder.line(&format!("merge {frames} -o r.jpg -o r.png -o r.tif --ghost-mask mask.png")).done();
@@ -245,7 +245,7 @@ fn folders_are_left_to_batch() {
 }
 
 #[test]
-fn tips_and_usage_are_of_what_was_typed() {
+fn tips_and_usage_match_the_typed_command() {
     let folder = Folder::with_bracket();
     let line = "merge w2.jpg w3.jpg --sharpen 50";
     refused(&folder, line, 2, &["'--sharpen'", "Usage: hdralign merge [OPTIONS] <IMAGES>..."]);
@@ -273,7 +273,7 @@ fn transforms_of_other_photographs_are_named() {
 }
 
 #[test]
-fn a_response_file_that_is_none_is_named() {
+fn invalid_response_file_is_named() {
     let folder = Folder::with_bracket();
     folder.put("r.json", b"{\"schema\": \"something/7\"}");
     refused(&folder, "merge w2.jpg w3.jpg -o a.exr --response r.json", 1, &["r.json", "not a usable response file"]);
@@ -281,7 +281,7 @@ fn a_response_file_that_is_none_is_named() {
 }
 
 #[test]
-fn without_exif_the_exposures_are_estimated_and_strict_says_so() {
+fn without_exif_exposures_are_estimated_and_strict_exits_with_3() {
     let folder = Folder::empty();
     for i in 2..=4 {
         folder.put(&format!("w{i}.jpg"), &jpeg(&small(i), None));
@@ -298,7 +298,7 @@ fn without_exif_the_exposures_are_estimated_and_strict_says_so() {
 }
 
 #[test]
-fn memory_that_is_none_and_a_scratch_folder_that_is_none_are_named() {
+fn invalid_memory_limit_and_scratch_folder_are_named() {
     let folder = Folder::with_bracket();
     refused(&folder, "merge w2.jpg w3.jpg --max-memory plenty -o a.exr", 2, &["plenty", "as in `500MB`"]);
     refused(&folder, "merge w2.jpg w3.jpg --max-memory 1MB -o a.exr", 2, &["--max-memory", "takes about 64 MB"]);

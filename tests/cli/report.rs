@@ -128,7 +128,7 @@ fn a_merge_reports_every_key_of_the_contract() {
 }
 
 #[test]
-fn what_was_asked_for_is_in_the_report() {
+fn requested_options_are_in_the_report() {
     let folder = Folder::with_bracket();
     let merge = "merge w2.jpg w3.jpg w4.jpg -o a.png";
     let asked = written(&folder, merge)["options"].clone();
@@ -177,7 +177,7 @@ fn what_was_asked_for_is_in_the_report() {
 }
 
 #[test]
-fn each_way_to_the_response_says_what_it_found() {
+fn every_source_of_the_response_is_reported() {
     let folder = Folder::with_bracket();
     let found = |model: &str| {
         let line = "merge w1.jpg w2.jpg w3.jpg w4.jpg w5.jpg --force -o a.hdr --report r.json --response-model";
@@ -216,7 +216,7 @@ fn the_printed_report_is_the_written_one_but_for_the_clock() {
 }
 
 #[test]
-fn a_still_bracket_is_reported_unmoved_and_a_strange_frame_rejected() {
+fn static_frame_is_unmoved_and_frame_of_another_scene_rejected() {
     let folder = Folder::with_bracket();
     let report = written(&folder, "align w2.jpg w3.jpg --align none --reference 2");
     let status = |r: &Value, i: usize| r["frames"][i]["alignment"]["status"].as_str().map(str::to_owned);

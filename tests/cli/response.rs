@@ -25,7 +25,7 @@ fn names(folder: &Folder) -> Vec<String> {
 }
 
 #[test]
-fn folders_are_brackets_and_all_files_asked_for_are_there() {
+fn folders_are_brackets_and_all_requested_files_are_written() {
     let folder = two_brackets();
     let line = "response night church -o c.json -o c.rsp -o c.csv --plot c.svg --plot c.png --align none --json";
     let report = json(&folder.line(line).done().stdout);
@@ -70,7 +70,7 @@ fn a_saved_curve_of_any_format_gives_nearly_the_same_radiance() {
 }
 
 #[test]
-fn without_a_name_the_curve_goes_beside_the_photographs_named_after_the_camera() {
+fn default_name_of_a_curve_is_that_of_the_camera() {
     let folder = two_brackets();
     let run = folder.line("response night church --align none").done();
     let path = run.stdout.trim();
@@ -83,7 +83,7 @@ fn without_a_name_the_curve_goes_beside_the_photographs_named_after_the_camera()
 }
 
 #[test]
-fn what_cannot_be_leaves_nothing_behind() {
+fn failed_calibrations_leave_no_files() {
     let folder = two_brackets();
     let before = names(&folder);
     let refused = |line: &str, code: i32, words: &str| {
@@ -108,7 +108,7 @@ fn what_cannot_be_leaves_nothing_behind() {
 }
 
 #[test]
-fn a_file_that_is_no_response_is_named_with_the_remedy() {
+fn invalid_response_file_is_named_with_the_remedy() {
     let folder = Folder::with_bracket();
     folder.put("photo.json", small_jpeg(1));
     folder.put("short.rsp", b"3 1 2 3\n");
@@ -124,7 +124,7 @@ fn a_file_that_is_no_response_is_named_with_the_remedy() {
 }
 
 #[test]
-fn a_curve_that_cannot_be_had_is_reported_before_any_work() {
+fn unusable_response_file_is_an_error_before_any_work() {
     let folder = Folder::with_bracket();
     folder.put("bad.json", b"{}");
     // The photographs, one of which is missing, were not read.
@@ -170,7 +170,7 @@ fn exposures_given_in_the_wrong_order_are_used_and_doubted() {
 }
 
 #[test]
-fn a_frame_whose_exposure_is_written_wrong_is_corrected_and_the_report_says_so() {
+fn wrong_exposure_is_corrected_and_reported() {
     let folder = Folder::empty();
     // PNG has no EXIF here: the exposures are estimated, and then corrected. JPEGs keep theirs, which are exact.
     for i in 1..=FRAMES {
@@ -204,7 +204,7 @@ fn a_frame_whose_exposure_is_written_wrong_is_corrected_and_the_report_says_so()
 
 /// Using the response of another camera gives a warning.
 #[test]
-fn a_response_that_misses_the_photographs_is_reported_of() {
+fn response_that_contradicts_the_frames_is_a_warning() {
     let folder = Folder::with_bracket();
     let merge = "merge w1.jpg w2.jpg w3.jpg w4.jpg w5.jpg --align none --exposures as-given --json --force -o a.exr";
     let report = |options: &str| json(&folder.line(&format!("{merge} {options}")).done().stdout);
@@ -223,7 +223,7 @@ fn a_response_that_misses_the_photographs_is_reported_of() {
 /// Dark codes have very small weights and are many: the errors of a polynomial there are in the radiance, although
 /// not in the residual of the curve.
 #[test]
-fn what_a_polynomial_loses_is_what_radiance_is_off_by() {
+fn reported_loss_of_a_polynomial_is_the_error_of_the_radiance() {
     let folder = Folder::with_bracket();
     for frames in ["w1.jpg w2.jpg w3.jpg w4.jpg w5.jpg", "w2.jpg w3.jpg w4.jpg"] {
         let merge = format!(

@@ -7,7 +7,7 @@ pub const COMMANDS: [&str; 9] =
     ["merge", "batch", "align", "response", "inspect", "tonemap", "compare", "completions", "man"];
 
 #[test]
-fn every_shell_is_reported_every_command_and_option() {
+fn completions_contain_every_command_and_option() {
     let folder = Folder::empty();
     for shell in ["bash", "zsh", "fish", "powershell"] {
         let script = folder.line(&format!("completions {shell}")).done().stdout;
@@ -22,7 +22,7 @@ fn every_shell_is_reported_every_command_and_option() {
 }
 
 #[test]
-fn pages_are_of_every_command_and_keep_what_is_there() {
+fn man_pages_exist_for_every_command_and_existing_files_are_kept() {
     let folder = Folder::empty();
     let main = folder.line("man").done().stdout;
     assert!(main.contains(".TH hdralign 1") && main.contains("hdralign\\-merge(1)"), "{main}");

@@ -17,7 +17,7 @@ fn stdout_is_the_paths_written_one_a_line() {
 }
 
 #[test]
-fn stdout_is_json_alone_when_asked_for() {
+fn json_option_prints_only_json() {
     let folder = Folder::with_bracket();
     for command in ["align", "merge -o a.exr"] {
         let run = folder.line(&format!("{command} w2.jpg w3.jpg w4.jpg --json")).done();
@@ -41,7 +41,7 @@ fn quiet_leaves_stderr_empty_even_of_warnings() {
 }
 
 #[test]
-fn no_bar_is_drawn_where_stderr_is_no_terminal() {
+fn no_bar_is_drawn_without_a_terminal() {
     let folder = Folder::with_bracket();
     for options in ["", "-v"] {
         let run = folder.line(&format!("merge w2.jpg w3.jpg w4.jpg -o a.exr --force {options}")).done();

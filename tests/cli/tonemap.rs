@@ -55,7 +55,7 @@ fn every_format_gives_nearly_the_same_picture() {
 }
 
 #[test]
-fn it_is_named_reported_and_kept() {
+fn temporary_folder_is_named_reported_and_kept() {
     let folder = Folder::with_bracket();
     folder.line(&format!("{MERGE} -o room.exr")).done();
     let run = folder.line("tonemap room.exr").done();
@@ -71,7 +71,7 @@ fn it_is_named_reported_and_kept() {
 }
 
 #[test]
-fn what_is_no_radiance_is_refused_with_a_remedy() {
+fn files_without_radiance_are_rejected_with_the_remedy() {
     let folder = Folder::with_bracket();
     let before = folder.listing();
     refused(folder.line("tonemap w1.jpg -o x.png"), 1, "hdralign merge");
@@ -92,7 +92,7 @@ fn what_is_no_radiance_is_refused_with_a_remedy() {
 
 /// A map of another program: NaN, infinity and a colour outside of sRGB.
 #[test]
-fn odd_values_are_reported_and_the_rest_is_shown() {
+fn invalid_values_are_reported_and_the_others_shown() {
     let folder = Folder::empty();
     let mut values = vec![0.5f32; 3 * 64];
     values[0] = f32::NAN;

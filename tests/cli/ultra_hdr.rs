@@ -255,7 +255,7 @@ fn the_map_gives_the_radiance_back() {
 }
 
 #[test]
-fn a_merged_bracket_has_it_and_it_is_read_as_a_photograph() {
+fn gain_map_of_a_merge_is_valid_and_the_file_reads_as_a_photograph() {
     let folder = Folder::with_bracket();
     folder
         .line("merge w2.jpg w3.jpg w4.jpg --align none -o a.exr --exr-type float -o a.jpg -o b.jpg -o a.png -q")
@@ -348,7 +348,7 @@ fn exif_is_carried_over_and_put_right() {
 }
 
 #[test]
-fn what_cannot_be_is_refused() {
+fn impossible_values_are_rejected() {
     let folder = Folder::empty();
     let map = RadianceMap { pixels: Plane::filled(65_501, 1, [1.0; 3]), primaries: Primaries::SRGB };
     written(&folder, "wide.exr", &map);

@@ -47,7 +47,7 @@ fn a_factor_makes_cd_m2_in_every_format() {
 }
 
 #[test]
-fn the_camera_tells_the_luminance_where_exif_does() {
+fn absolute_luminance_is_computed_from_exif() {
     let folder = Folder::with_bracket();
     let json = report(&folder, "--absolute -o a.exr");
     let frames = json["frames"].as_array().unwrap();
@@ -120,7 +120,7 @@ fn luminance_is_the_same_whichever_frame_is_the_reference() {
 }
 
 #[test]
-fn other_colour_spaces_are_the_same_light_and_say_which_they_are() {
+fn other_colour_spaces_have_the_same_light_and_their_primaries() {
     let folder = Folder::with_bracket();
     report(&folder, "-o keep.exr -o keep.png");
     let keep = read(&folder.at("keep.exr")).unwrap().0;

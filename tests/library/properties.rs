@@ -342,7 +342,7 @@ fn there_and_back(folder: &Path, name: &str, map: &RadianceMap, options: &write:
 const MOST_RGBE: f32 = 255.0 / 256.0 * f32::from_bits((127 + 127) << 23);
 
 #[test]
-fn what_is_written_is_read_again_to_within_its_format() {
+fn files_are_read_back_within_the_precision_of_their_format() {
     holds(150, (radiance(), writing()), |(map, options)| {
         let dir = tempfile::tempdir().expect("a folder");
         let floats = write::Options {
@@ -414,7 +414,7 @@ fn any_radiance_gives_a_picture_the_same_on_any_number_of_threads() {
 }
 
 #[test]
-fn what_is_compared_with_itself_is_the_same() {
+fn file_compared_with_itself_is_equal() {
     holds(40, (radiance(), writing()), |(map, options)| {
         let dir = tempfile::tempdir().expect("a folder");
         for name in ["a.exr", "a.hdr", "a.tif"] {

@@ -65,7 +65,7 @@ fn neither_threads_nor_the_order_of_the_photographs_change_a_byte() {
 
 /// Features and their matching run only where bitmaps leave a doubt: here they must.
 #[test]
-fn neither_threads_nor_the_order_change_what_features_find() {
+fn features_do_not_depend_on_threads_or_order() {
     let folder = folder();
     let one = results(&folder, [1, 2, 3, 4, 5], "--align sift --threads 1");
     let inliers = |f: &Value| f["alignment"]["inliers"].as_u64().is_some_and(|n| n > 10);
@@ -80,7 +80,7 @@ fn neither_threads_nor_the_order_change_what_features_find() {
 
 /// What is asked for by options only: ghosts and flare, noise weights, another model, another colour space, units, encodings.
 #[test]
-fn neither_threads_nor_the_order_change_what_options_ask_for() {
+fn results_of_options_do_not_depend_on_threads_or_order() {
     let folder = folder();
     let options = "--deghost --flare --weight noise --response-model robertson --colour acescg --absolute \
                    --hdr-encoding xyze --tiff-encoding logluv32 --exr-type float";

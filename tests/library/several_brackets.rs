@@ -71,7 +71,7 @@ fn ratio(a: &Outcome, b: &Outcome) -> f64 {
 }
 
 #[test]
-fn brackets_of_different_exposure_have_one_unit_where_it_is_asked_for() {
+fn normalised_brackets_have_the_same_unit() {
     let folder = scenes();
     let develop = |frames, unit| pipeline::develop(&of(&folder, frames), &options(unit), &pipeline::unwatched).unwrap();
     let (short, long) = (develop(1..=3, None), develop(3..=5, None));
@@ -103,7 +103,7 @@ fn brackets_of_different_exposure_have_one_unit_where_it_is_asked_for() {
 }
 
 #[test]
-fn what_is_written_says_its_unit_and_what_cannot_have_it_is_refused() {
+fn absolute_files_state_their_unit_and_other_formats_are_rejected() {
     let folder = scenes();
     let files: Vec<PathBuf> = ["a.exr", "a.json", "a.html"].map(|name| folder.at(name)).into();
     let run = |o: Options| pipeline::run(&of(&folder, 1..=3), &o, &pipeline::unwatched);
@@ -154,7 +154,7 @@ fn recover(
 }
 
 #[test]
-fn a_bad_bracket_is_left_out_of_the_response_where_that_is_asked_for() {
+fn unusable_bracket_is_skipped_for_the_response_on_request() {
     let folder = scenes();
     folder.put("bad.jpg", b"\xff\xd8\xff no more");
     let good = [of(&folder, 1..=3), of(&folder, 2..=4), of(&folder, 3..=5)];

@@ -126,12 +126,12 @@ fn assert_same(a: &Value, b: &Value, place: &str) {
 }
 
 #[test]
-fn truth_json_says_what_the_program_does() {
+fn truth_json_matches_the_renderer() {
     assert_same(&shipped_truth(), &truth::describe(), "truth");
 }
 
 #[test]
-fn the_hands_move_a_little_and_stay_on_the_plate() {
+fn camera_motion_is_small_and_inside_the_scene() {
     let shipped = shipped_truth();
     let (w, h) = (WIDTH as f64 - 1.0, HEIGHT as f64 - 1.0);
     for (i, hands) in HANDS.iter().enumerate() {

@@ -39,7 +39,7 @@ fn the_truth_is_borne_out_and_errors_are_measured() {
 }
 
 #[test]
-fn what_moves_by_itself_contradicts_alone() {
+fn moving_object_contradicts_only_in_its_tiles() {
     let scene = Scene::new(31);
     // Tiles are 30 px: the mover has 4 x 3 of them, and 6 x 5 with those that it may touch.
     let with_mover = |x: f64, y: f64| {

@@ -375,7 +375,7 @@ mod tests {
     }
 
     #[test]
-    fn without_votes_nothing_is_known() {
+    fn without_votes_the_result_is_unknown() {
         let blank = ThresholdBitmaps::blank(SIZE.0, SIZE.1);
         let mut descent = Descent::new(&blank, &blank, 0.05);
         let start = Motion { dx: 2.0, dy: 0.0, angle: 0.01 };

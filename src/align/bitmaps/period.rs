@@ -86,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_does_not_repeat() {
+    fn uniform_picture_has_no_period() {
         for (width, height) in [(1, 1), (3, 200), (300, 200)] {
             let plain = GreyPyramid::new(crate::plane::Plane::filled(width, height, 77));
             assert!(!repeats(&plain, &MtbOptions::default()));

@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn common_histograms_are_of_what_both_frames_show() {
+    fn common_histograms_are_of_the_overlap() {
         // The frame shows the reference 50 px farther left, and at its right something bright that the reference does
         // not.
         let reference = plane(200, 120, |x, _| x as u8);

@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn more_wrong_ones_than_right_are_no_consensus() {
+    fn more_outliers_than_inliers_give_no_consensus() {
         for (n, wrong) in [(200, 120), (100, 100), (500, 400)] {
             assert!(search(&pairs(n, wrong, 0.5), &RansacOptions::default()).is_none(), "{wrong} of {n}");
         }

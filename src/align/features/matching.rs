@@ -320,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn what_repeats_is_not_matched() {
+    fn repeated_features_are_not_matched() {
         let a = features(&[1, 2], 0.0);
         let b = features(&[1, 1, 2], 0.0);
         assert_eq!(match_mutual(&a, &b, 0.8, None), [Match { reference: 1, frame: 2 }]);

@@ -76,7 +76,7 @@ fn noise_about_a_threshold_makes_few_points() {
 }
 
 #[test]
-fn thresholds_part_the_pixels_as_they_say() {
+fn thresholds_split_the_pixels_at_their_percentile() {
     let smooth = smoothed(&Scene::new(3).photograph(SIZE, &Transform::Identity, Shot::at(-3.0)));
     let total = smooth.as_slice().len() as f64;
     for (percent, t) in PERCENTILES.iter().zip(thresholds(&smooth)) {
@@ -114,7 +114,7 @@ fn points_found_twice_are_counted_once() {
 }
 
 #[test]
-fn pair_found_twice_is_one_match_wherever_it_lies() {
+fn pair_found_twice_is_one_match() {
     // A bitmap has the same keypoint as the grey image, some tenths of a pixel away, in both frames.
     let sets = |x: f32, y: f32, mtb: (f32, f32)| FeatureSets {
         plain: keypoints(&[(x, y, 2.0)]),

@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn frame_between_two_lies_between_them_and_is_known_better_than_one_beyond() {
+    fn interpolated_transform_is_more_certain_than_extrapolated() {
         let track = CameraTrack::new(vec![known(0, shift(0.0, 0.0)), known(3, rigid(6.0, -3.0, 0.3))], SIZE).unwrap();
         let place = track.at(1.0);
         let error = place.transform.corner_distance(&rigid(2.0, -1.0, 0.1), SIZE.0, SIZE.1);

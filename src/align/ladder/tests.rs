@@ -62,7 +62,7 @@ fn another_scene_never_settles() {
 }
 
 #[test]
-fn what_no_hand_does_is_refused() {
+fn impossible_camera_motion_is_rejected() {
     let (w, h) = (SIZE.0 as f64 - 1.0, SIZE.1 as f64 - 1.0);
     let scaled = |sx: f64, sy: f64| {
         // About the centre.

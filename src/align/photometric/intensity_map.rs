@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_known_is_no_change() {
+    fn unknown_base_changes_nothing() {
         assert_eq!(IntensityMap::from_samples(&[]).at(77.0), 77.0);
     }
 }

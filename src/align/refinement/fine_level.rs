@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn a_patch_is_what_the_whole_level_holds_there() {
+    fn patch_equals_that_part_of_the_whole_level() {
         let (reference, frame, truth) = pair();
         let pair = FramePair::new(&reference, &frame, &truth);
         let whole = &pair.level(0).both;

@@ -110,7 +110,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn beyond_the_border_there_is_nothing() {
+    fn resampling_outside_the_frame_returns_nothing() {
         let plane = Plane::filled(20, 20, 9u8);
         let table = std::array::from_fn(|v| v as f32);
         let fits = |at| Patch::<FRAME_PATCH>::fits(&plane, at);

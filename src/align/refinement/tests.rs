@@ -57,7 +57,7 @@ fn a_result_has_the_form_of_its_model() {
 }
 
 #[test]
-fn edges_of_clipped_areas_do_not_lead_astray() {
+fn edges_of_clipped_areas_do_not_affect_alignment() {
     // A sawtooth that rises within 6 px and falls over 40 px. With clipping three stops up, the bright part of every
     // tooth extends to the left by some pixels. If that were ignored, all edges would be shifted in the same direction.
     let teeth = |x: f64, y: f64| {
@@ -78,7 +78,7 @@ fn edges_of_clipped_areas_do_not_lead_astray() {
 }
 
 #[test]
-fn what_moves_by_itself_does_not_pull() {
+fn moving_object_does_not_affect_the_refinement() {
     let scene = Scene::new(11);
     // 0.45 x 0.45 of the image is displaced by 9 px.
     let with_mover = |x: f64, y: f64| {
@@ -95,7 +95,7 @@ fn what_moves_by_itself_does_not_pull() {
 }
 
 #[test]
-fn a_plain_picture_says_nothing() {
+fn uniform_picture_has_no_features() {
     let plain = GreyPyramid::new(Plane::filled(SIZE.0, SIZE.1, 90));
     for model in [Model::Shift, Model::Rigid, Model::Homography] {
         assert!(found(&plain, &plain, &Transform::Identity, model, 2).is_none());

@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_moves_under_the_identity_and_half_a_pixel_is_the_mean() {
+    fn identity_changes_nothing_and_half_a_pixel_is_the_mean() {
         let grey = Plane::from_vec(3, 2, vec![10, 20, 40, 10, 20, 40]);
         let row = |transform: &Transform| {
             let mut row = [0; 3];

@@ -114,7 +114,7 @@ fn two_bodies_at_once_a_flash_and_a_stray_are_distinguished() {
 }
 
 #[test]
-fn a_bracket_goes_over_the_roll_of_the_counter() {
+fn bracket_continues_over_the_rollover_of_the_counter() {
     let folder = tempfile::tempdir().unwrap();
     for (name, at, time, bias) in [
         ("100CANON/IMG_9998.JPG", 0, (1, 60), 0),
@@ -234,7 +234,7 @@ fn by_count_and_by_folder_need_no_exif() {
 }
 
 #[test]
-fn the_hard_limit_parts_what_is_slow() {
+fn hard_limit_ends_slow_bursts() {
     let folder = tempfile::tempdir().unwrap();
     for (i, time) in [(1, 2), (1, 8), (1, 30), (1, 125)].into_iter().enumerate() {
         let at = if i < 2 { 1000 * i } else { 1000 * i + 4000 };
@@ -246,7 +246,7 @@ fn the_hard_limit_parts_what_is_slow() {
 }
 
 #[test]
-fn what_is_found_depends_on_no_order_and_links_are_no_circles() {
+fn search_does_not_depend_on_order_and_links_do_not_loop() {
     let folder = tempfile::tempdir().unwrap();
     let (a, b) = (folder.path().join("a"), folder.path().join("b"));
     put_bracket(&a, 1, 0, &MIDDLE);

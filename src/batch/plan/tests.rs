@@ -26,7 +26,7 @@ pub fn job() -> Job {
 }
 
 #[test]
-fn results_lie_as_the_photographs_do() {
+fn results_are_in_the_folders_of_the_photographs() {
     let brackets = [planned("/in", "a", 1), planned("/in", "b", 1), planned("/in", "", 5)];
     let beside = plan(&brackets, &settings()).unwrap();
     let reports = |jobs: &[Job]| jobs.iter().map(|s| s.report.to_str().unwrap().to_owned()).collect::<Vec<_>>();

@@ -23,7 +23,7 @@ fn limits(jobs: usize, bytes: Option<u64>) -> Limits {
 }
 
 #[test]
-fn one_bad_step_stops_nothing_but_what_needs_it() {
+fn failed_job_stops_only_jobs_that_need_it() {
     let dir = tempfile::tempdir().unwrap();
     let all = jobs(&[("b", &["a"]), ("a", &[]), ("c", &[]), ("d", &["none"])], dir.path());
     for jobs in [1, 3] {
@@ -47,7 +47,7 @@ fn one_bad_step_stops_nothing_but_what_needs_it() {
 }
 
 #[test]
-fn on_a_full_disk_nothing_more_is_begun_and_that_is_reported_once() {
+fn full_disk_stops_further_jobs_and_is_reported_once() {
     let dir = tempfile::tempdir().unwrap();
     let jobs = jobs(&[("a", &[]), ("b", &[]), ("c", &["b"])], dir.path());
     let (stop, limits) = (AtomicBool::new(false), limits(2, None));
@@ -74,7 +74,7 @@ fn on_a_full_disk_nothing_more_is_begun_and_that_is_reported_once() {
 
 /// A job that was not started because its disk is full does not delay jobs for other disks.
 #[test]
-fn what_needs_a_step_that_is_not_begun_is_not_begun() {
+fn jobs_that_need_an_unstarted_job_are_not_started() {
     let jobs = jobs(&[("a", &[]), ("b", &["a"])], Path::new("/none"));
     let (stop, limits) = (AtomicBool::new(false), limits(1, None));
     let watch = |_: Event| ();
@@ -85,7 +85,7 @@ fn what_needs_a_step_that_is_not_begun_is_not_begun() {
 }
 
 #[test]
-fn what_is_stopped_begins_nothing() {
+fn stopped_batch_starts_no_job() {
     let dir = tempfile::tempdir().unwrap();
     let jobs = jobs(&[("a", &[]), ("b", &[])], dir.path());
     let stop = AtomicBool::new(true);
@@ -158,7 +158,7 @@ fn the_longest_comes_first_if_there_is_room_for_it() {
 }
 
 #[test]
-fn a_response_comes_before_what_needs_it() {
+fn response_job_precedes_the_jobs_that_need_it() {
     let dir = tempfile::tempdir().unwrap();
     let mut all = jobs(&[("merge", &["response"]), ("response", &[])], dir.path());
     all[1].kind = Kind::Response;

@@ -283,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn a_profile_made_of_numbers_says_these_numbers() {
+    fn profile_made_from_primaries_contains_them() {
         for primaries in [Primaries::ACES_AP0, Primaries::BT2020, Primaries::PROPHOTO] {
             let profile = Profile::of(&primaries, Curve::Power(1.0), "numbers").unwrap();
             // Colorants are in steps of 1/65536.

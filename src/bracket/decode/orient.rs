@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_exist_is_upright() {
+    fn invalid_orientation_is_upright() {
         let samples = Samples::Sixteen((0..18).collect());
         for orientation in [0, 9, 65535] {
             assert_eq!(apply(samples.clone(), 3, 2, orientation), (samples.clone(), 3, 2));

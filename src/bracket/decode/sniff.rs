@@ -96,7 +96,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_read_is_known_by_content() {
+    fn format_of_inputs_is_detected_by_content() {
         assert_eq!(format(b"\xff\xd8\xff\xe1...."), Ok(Format::Jpeg));
         assert_eq!(format(b"\x89PNG\r\n\x1a\n\0\0"), Ok(Format::Png));
         assert_eq!(format(b"MM\0*\0\0\0\x08"), Ok(Format::Tiff));
@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_is_named() {
+    fn missing_folders_are_named() {
         for (bytes, name) in [
             (&b""[..], "empty file"),
             (b"Dear diary,\n", "text"),

@@ -24,7 +24,7 @@ pub(in crate::bracket) fn read(bytes: &[u8]) -> Result<Decoded> {
 }
 
 #[test]
-fn a_header_refuses_what_is_no_photograph() {
+fn header_of_a_file_that_is_not_a_photograph_is_an_error() {
     let refused = |bytes: &[u8]| {
         head(Path::new("picture"), Cursor::new(bytes), &[], &at_most(100))
             .map(|head| head.refused)

@@ -247,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bracket_of_printed_numbers_counts_by_exact_steps_and_says_so() {
+    fn rounded_exposures_are_read_as_exact_steps_and_reported() {
         let frame = |time: f64| ExposureTags { is_time_printed: true, ..tags(Some(time), Some(11.0), Some(100.0)) };
         let (exposures, _) = by_tags(&[frame(1.0 / 60.0), frame(1.0 / 15.0)]);
         let [a, b] = [0, 1].map(|i| exposures[i].as_ref().unwrap());
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn a_part_missing_everywhere_is_no_matter() {
+    fn tag_missing_in_all_frames_is_ignored() {
         let (exposures, assumed) = by_tags(&[tags(Some(0.5), None, Some(100.0)), tags(Some(1.0), None, Some(100.0))]);
         assert_eq!(exposures[1].as_ref().unwrap().relative(), 100.0);
         assert_eq!(exposures[1].as_ref().unwrap().f_number, None);

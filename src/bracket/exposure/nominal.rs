@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_measured_stays() {
+    fn measured_estimates_are_sufficient() {
         assert_eq!(times(&[1.0 / 33.0, 1.0 / 60.0]), None);
         assert_eq!(times(&[1.0 / 1243.0, 1.0 / 60.0]), None);
         // 1/45 is of the halves, 1/40 of the thirds.
@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn a_shutter_speed_tells_where_the_lens_does_not() {
+    fn shutter_speed_is_used_without_f_number() {
         let with = |time, shutter_speed| ExposureTags { shutter_speed: Some(shutter_speed), ..frame(time, 4.9, 100.0) };
         let exact_tags = exact(&[with(1.0 / 30.0, 5.0), with(1.0 / 125.0, 7.0)]).unwrap();
         assert_eq!((exact_tags[0].time_s.unwrap().0, exact_tags[0].f_number.unwrap().0), (1.0 / 32.0, 4.9));

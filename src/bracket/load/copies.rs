@@ -131,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn black_and_white_frames_are_no_copies() {
+    fn black_and_white_frames_are_not_copies() {
         assert!(copies(&[picture(|_| 0), picture(|_| 0), picture(|_| 255), picture(|_| 255)]).is_empty());
     }
 

@@ -145,7 +145,7 @@ fn the_users_exposures_win_and_go_by_the_order_given() {
 }
 
 #[test]
-fn missing_exposures_are_estimated_and_said_to_be() {
+fn missing_exposures_are_estimated_and_reported() {
     let files = Files::new();
     let paths: Vec<_> = (0..3).map(|i| files.add(&format!("{i}.jpg"), &shot(2.0 * f64::from(i) - 2.0, &[]))).collect();
     let (bracket, warnings) = load(&paths, &LoadOptions::default()).unwrap();
@@ -202,7 +202,7 @@ fn a_missing_f_number_is_assumed_with_a_warning() {
 }
 
 #[test]
-fn what_is_no_bracket_is_refused() {
+fn single_photographs_are_rejected() {
     let files = Files::new();
     let a = files.add("a.jpg", &shot(0.0, &[time(1, 100)]));
     let text = files.add("text.jpg", b"This is not a picture.\n");
@@ -253,7 +253,7 @@ fn the_extension_does_not_matter() {
 }
 
 #[test]
-fn profiles_that_differ_are_reported() {
+fn different_profiles_are_a_warning() {
     let files = Files::new();
     let adobe = |bytes: &[u8]| {
         let icc = Profile::adobe_rgb().unwrap().icc;

@@ -50,7 +50,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_make_is_said_once() {
+    fn camera_make_is_not_repeated() {
         let camera = |make: &str, model: &str| {
             let text = |t: &str| (!t.is_empty()).then(|| t.to_owned());
             Capture { make: text(make), model: text(model), ..Capture::default() }.camera()

@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_true_of_the_result_is_carried_and_the_place_only_if_asked() {
+    fn valid_exif_is_copied_and_gps_only_on_request() {
         let original = block(&[
             field(Tag::Make, Value::Ascii(vec![b"Maker".to_vec()])),
             field(Tag::Orientation, Value::Short(vec![6])),

@@ -402,7 +402,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plan_holds_what_was_typed() {
+    fn plan_contains_the_options_as_typed() {
         for words in [
             &[][..],
             &["-e=-2,0,2", "--reference", "2", "--align", "mtb", "-C", "none"],

@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn groups_of_a_container_are_found_where_it_is_shown_its_hosts_paths() {
+    fn cgroup_of_a_container_is_found_with_paths_of_the_host() {
         let group = "4:memory:/docker/ab\n";
         let limit = ("sys/fs/cgroup/memory/memory.limit_in_bytes", "700\n");
         let mount = |top: &str| format!("35 31 0:32 {top} /sys/fs/cgroup/memory ro - cgroup cgroup rw,memory\n");
@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn no_groups_and_no_limits_are_no_limit() {
+    fn missing_cgroups_are_no_limit() {
         assert_eq!(free_in(&[]), None);
         assert_eq!(free_in(&[TWO, ("proc/self/cgroup", "0::/a\n"), ("sys/fs/cgroup/a/memory.max", "max\n")]), None);
         assert_eq!(free_in(&[ONE, ("proc/self/cgroup", "3:cpuset:/\nnonsense\n")]), None);

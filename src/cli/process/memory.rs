@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_free_is_read_as_linux_writes_it() {
+    fn free_memory_is_read_from_proc_meminfo() {
         let text =
             "MemTotal:       24000000 kB\nMemFree:          500000 kB\nMemAvailable:   20000000 kB\nBuffers: 1 kB\n";
         assert_eq!(available(text), Some(20_480_000_000));

@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_apart_before_is_together_after() {
+    fn edges_differ_before_alignment_and_agree_after() {
         let (size, scene, truth) = ((900, 600), Scene::new(3), rigid(14.0, -9.0, 1.0));
         let greys = [Transform::Identity, truth].map(|w| scene.photograph(size, &w, Shot::at(0.0)));
         let frame = |grey: &Plane<u8>| {

@@ -224,7 +224,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn continued_keeps_what_is_known_and_goes_on_between() {
+    fn continuation_keeps_known_values_and_interpolates() {
         let known = |x: usize| if (20..40).contains(&x) { 0.0 } else { 1.0 };
         let ramp = Plane::from_rows(64, 48, |_, row: &mut [f32]| {
             row.iter_mut().enumerate().for_each(|(x, v)| *v = known(x) * 0.1 * x as f32);
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn continued_of_nothing_is_nothing() {
+    fn continuation_without_known_values_is_empty() {
         let none = Plane::filled(13, 7, 0.0f32);
         assert_eq!(continued(&none, &none), none);
     }

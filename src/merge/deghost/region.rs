@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn gaps_are_closed_and_borders_stay() {
+    fn gaps_are_closed_and_borders_are_kept() {
         let with_gap = plane(&["###..###"; 9]);
         assert_eq!(closed(&with_gap, 1), plane(&["########"; 9]));
         let alone = plane(&[".......", ".......", "...#...", ".......", "......."]);
@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_kept_is_none_within_reach_and_more_beyond() {
+    fn hysteresis_keeps_only_values_beyond_reach() {
         let mut plane = Plane::filled(40, 30, false);
         plane.row_mut(15)[20] = true;
         let kept = kept(&plane, 2, 2);

@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn an_edge_of_one_frame_is_a_change_and_one_of_both_or_none_is_not() {
+    fn edge_in_one_frame_is_a_change_and_edge_in_both_is_not() {
         // Only the frame has it; only the standard has it.
         assert!(found(|_, _| 0.0, |x, _| half(x)) >= 64);
         assert!(found(|x, _| half(x), |x, _| -half(x)) >= 64);
@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_covered_has_no_edge() {
+    fn uncovered_parts_have_no_edges() {
         let mut plane = Plane::filled(32, 32, Ratio { ratio: [1.0; 3], ..Ratio::default() });
         (0..32).for_each(|y| plane.row_mut(y)[20..].fill(Ratio::unknown()));
         let scales = Scales::of(plane);

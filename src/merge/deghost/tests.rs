@@ -39,7 +39,7 @@ fn merged(bracket: &Bracket, alignment: &Alignment, ghosts: Option<&Ghosts>) -> 
 }
 
 #[test]
-fn where_nothing_moved_nothing_is_lost() {
+fn deghosting_without_motion_changes_nothing() {
     let (bracket, alignment) = bracket([&background; 3]);
     let ghosts = seek(&bracket, &alignment);
     let report = ghosts.report();
@@ -79,7 +79,7 @@ fn a_mover_is_left_out_and_the_rest_is_untouched() {
 }
 
 #[test]
-fn what_the_reference_clips_is_judged_by_the_next_frame_that_agrees() {
+fn clipped_reference_is_replaced_as_standard_by_the_next_frame_that_agrees() {
     // The reference clips at 1. One frame has a dark mover before the sky, the one before it none; and the other way
     // round.
     let sky = |_: usize, _: usize| [2.5, 2.6, 2.8];
@@ -103,7 +103,7 @@ fn what_the_reference_clips_is_judged_by_the_next_frame_that_agrees() {
 }
 
 #[test]
-fn what_the_reference_clips_is_continued_where_shorter_frames_show_a_mover() {
+fn clipped_reference_is_continued_where_shorter_frames_show_motion() {
     // A sky that doubles from left to right, and clips in the reference; the only shorter frame has a dark mover before
     // it. Below is ground that no frame clips.
     let sky = |x: usize, y: usize| if y < 150 { [2.0 + 2.0 * x as f64 / SIZE.0 as f64; 3] } else { [0.2; 3] };
@@ -136,7 +136,7 @@ fn what_the_reference_clips_is_continued_where_shorter_frames_show_a_mover() {
 }
 
 #[test]
-fn what_is_continued_has_the_colour_of_what_is_around_and_no_seam() {
+fn continuation_has_the_surrounding_colour_without_seam() {
     // A wall in the sun, white in the reference; in the shorter frame a shadow has come, with a soft edge.
     let sun = [3.0, 2.4, 1.4];
     let shadow = |x: usize, y: usize| {
@@ -161,7 +161,7 @@ fn what_is_continued_has_the_colour_of_what_is_around_and_no_seam() {
 }
 
 #[test]
-fn what_is_bright_beside_a_mover_keeps_its_form() {
+fn bright_object_beside_motion_keeps_its_shape() {
     // Bars that the reference clips and the shorter frame shows, and a mover in that one just below.
     let bars = |x: usize, y: usize| match (x / 8 % 2, y < 60) {
         (_, false) => [0.2, 0.25, 0.3],
@@ -201,7 +201,7 @@ fn a_wall_that_is_black_in_a_short_frame_is_not_merged_with_who_stands_before_it
 }
 
 #[test]
-fn channels_that_are_mixed_are_no_motion() {
+fn mixed_channels_are_not_motion() {
     // A disc in which blue is two thirds brighter in the long frame: of red that is a twenty-fifth.
     let found = |red: f64| {
         let scene =
@@ -239,7 +239,7 @@ fn a_mover_before_a_wall_whose_colour_misfits_does_not_take_the_wall_along() {
 }
 
 #[test]
-fn what_a_locally_processed_frame_clips_is_no_bound() {
+fn clipping_in_a_locally_processed_frame_is_no_bound() {
     // The reference clips the sky at 1; the shortest frame shows something darker there, as a phone makes of a window
     // by its gain, or a mover.
     let sky = |_: usize, _: usize| [2.5, 2.6, 2.8];
@@ -364,7 +364,7 @@ fn of_large_cells_a_quarter_is_looked_at() {
 }
 
 #[test]
-fn what_is_typed_is_understood_and_reported_again() {
+fn white_balance_is_parsed_and_printed_as_typed() {
     for (text, expected) in [("auto", Deghost::Auto), ("off", Deghost::Off), ("0.25", Deghost::Strength(0.25))] {
         assert_eq!((text.parse(), expected.to_string().as_str()), (Ok(expected), text));
     }
@@ -373,7 +373,7 @@ fn what_is_typed_is_understood_and_reported_again() {
 }
 
 #[test]
-fn flare_over_a_frame_and_a_saturated_colour_are_no_motion() {
+fn flare_and_saturated_colours_are_not_motion() {
     // The long frame is brighter by a third at its right border, as by flare, and its red is so at the edges of the
     // tiles.
     let veiled = |x: usize, y: usize| {

@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn curve_of_bases_is_the_inverse_of_what_the_phone_did_whatever_moved() {
+    fn curve_of_bases_inverts_the_phone_in_spite_of_motion() {
         let curve = BaseCurve::of(&pairs());
         let slope = |v: f32| 1.0 + (curve.at(v + 0.1) - curve.at(v - 0.1)) / 0.2;
         // The frames' base is -4 at a scene base of -4, and -1.5 at 1; the spacing of the knots is 0.7 stops.
@@ -199,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn curve_of_no_pairs_or_of_one_base_is_none() {
+    fn curve_without_pairs_is_zero() {
         let alike = vec![Pair { bases: (1.0, 1.0), stops: 2.0 }; 300];
         for pairs in [&[][..], &alike] {
             let curve = BaseCurve::of(pairs);

@@ -384,7 +384,7 @@ mod tests {
     }
 
     #[test]
-    fn where_there_is_none_nothing_is_taken_off() {
+    fn scene_without_flare_is_unchanged() {
         let flat = RadianceMap { pixels: Plane::filled(70, 50, [0.4; 3]), primaries: Primaries::SRGB };
         // Black is found only far from the window: no support.
         let mut grey = scene(120, 90);

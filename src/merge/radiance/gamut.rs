@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_done_where_nothing_is_to_do() {
+    fn complete_jobs_are_not_run_again() {
         let same = map(vec![[0.1, 0.2, 0.3]], Primaries::DISPLAY_P3);
         assert_eq!(converted(same.clone(), Space::DisplayP3), (same, 0));
         assert_eq!(warning(0), None);

@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_scene_does_not_have_is_not_held() {
+    fn missing_range_is_not_allocated() {
         let limits = Limits { noise_floor: 0.01, clipping: 10.24 };
         let stops = |p0_1, p99_99| limits.stops(&Statistics { p0_1, p99_99, ..Statistics::default() });
         assert!((stops(1e-6, 1e6) - 10.0).abs() < 1e-6, "bounded by noise and by clipping");
@@ -130,7 +130,7 @@ mod tests {
     /// Linear codes of 16 bits: with a noise of 2 (of 255) code 250 is 6.97 stops above it; with next to none what code
     /// 0 means ends the range.
     #[test]
-    fn fine_codes_hold_what_their_noise_leaves() {
+    fn averaged_codes_keep_fractions_within_their_noise() {
         let noisy = |time: f64, sigma: f64| {
             let mut state = 1u64;
             // SplitMix64.

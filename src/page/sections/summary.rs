@@ -193,7 +193,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn options_are_rows_and_what_is_not_set_is_none() {
+    fn options_are_rows_and_unset_ones_are_omitted() {
         let value =
             serde_json::json!({"align": "auto", "operator": {"name": "x", "key": 0.18, "white": null}, "flare": false});
         let mut rows = Vec::new();

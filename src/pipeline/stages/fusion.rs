@@ -148,7 +148,7 @@ mod tests {
     use crate::response::tests::still;
 
     #[test]
-    fn what_the_reference_clips_is_continued_where_a_shorter_frame_is_left_out() {
+    fn clipped_reference_is_continued_where_a_shorter_frame_is_rejected() {
         let sky = |_: usize, _: usize| [3.0, 2.4, 1.4];
         let is_mover = |x: usize, y: usize| x.abs_diff(120) < 20 && y.abs_diff(90) < 20;
         let mover = |x: usize, y: usize| if is_mover(x, y) { [0.2, 0.15, 0.15] } else { sky(x, y) };

@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_row_of_luminance_hdr_may_be_nothing() {
+    fn zeros_in_a_luminance_hdr_curve_are_read() {
         let head = "# rows: 256\n# columns: 7\n";
         let row = |z: usize| {
             let x = z as f64 / 255.0;
@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_curve_is_refused_in_words() {
+    fn invalid_curves_are_rejected_with_a_reason() {
         let rows = |columns: usize, row: &str| format!("# rows: 256\n# columns: {columns}\n") + &row.repeat(256);
         assert!(read("1;2;3\n").unwrap_err().contains("# rows: 256"));
         assert!(read(&rows(7, "0 1 2 3\n")).unwrap_err().contains("not have 7 numbers"));

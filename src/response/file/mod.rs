@@ -289,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_lost_is_distinguished_from_a_hundredth_of_a_stop_and_refused_from_half_a_stop() {
+    fn loss_is_a_warning_from_0_01_stops_and_an_error_from_half_a_stop() {
         let judged = |luminance_stops: f64, blue: f64| {
             Loss { luminance_stops, channel_stops: [0.001, 0.001, blue] }.judged(Path::new("c.rsp"))
         };
@@ -306,7 +306,7 @@ mod tests {
     /// Found by code review for the fuzz target: a curve of forty decades was written as zeros, which could not be
     /// read again.
     #[test]
-    fn what_no_decimals_hold_is_not_saved_in_them() {
+    fn too_steep_curve_is_not_saved_in_decimals() {
         let steep = |decades: f64| {
             let ln_white = decades * std::f64::consts::LN_10;
             let g = std::array::from_fn(|z| ln_white * (z as f64 - MID as f64) / 255.0);
@@ -318,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_response_is_refused_with_its_name_and_fault() {
+    fn invalid_response_is_rejected_with_its_name_and_fault() {
         let good: serde_json::Value = serde_json::from_str(&saved().to_json()).unwrap();
         assert!(reason("P6 2 2").contains("c.json"));
         let mut v = good.clone();

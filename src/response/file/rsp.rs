@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn a_curve_is_nearly_the_same_when_it_is_read_again() {
+    fn curve_is_read_back_within_the_precision_of_the_format() {
         let text = write(&ResponseCurve::srgb()).unwrap();
         let off = difference(&ResponseCurve::srgb(), &read(&text).unwrap());
         assert!(off < 0.05 && text.lines().count() == 3, "{off}");
@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn sums_of_bernstein_polynomials_rise_from_nothing_to_one() {
+    fn sums_of_bernstein_polynomials_rise_from_0_to_1() {
         for degree in 1..=MOST_DEGREE {
             let sums = bernstein_sums(degree);
             assert!((evaluate(&sums[0], 0.3) - 1.0).abs() < 1e-12);
@@ -241,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn what_hdrgen_would_not_read_is_refused_in_words() {
+    fn invalid_rsp_files_are_rejected_with_a_reason() {
         assert!(read("").unwrap_err().contains("red"));
         assert!(read("2 1 0 0\n2 1 0 0\n").unwrap_err().contains("blue"));
         assert!(read("6 1 1 1 1 1 1 1\n").unwrap_err().contains("degree"));

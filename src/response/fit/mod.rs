@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn the_true_curve_has_the_residual_of_the_noise_and_what_moved_no_trust() {
+    fn true_curve_has_the_residual_of_noise_and_motion_has_no_weight() {
         let mut samples = scene(400, &[-2.0, 0.0, 2.0], |x| x.sqrt());
         let g: Vec<f64> = (0..CODES).map(|z| 2.0 * libm::log((z as f64).max(0.1) / 255.0)).collect();
         samples[100].views[1].code += 30.0;

@@ -32,7 +32,7 @@ mod tests {
     use super::rising;
 
     #[test]
-    fn a_rising_curve_stays() {
+    fn monotone_curve_is_unchanged() {
         let v = [0.0, 0.5, 0.75, 4.0];
         assert_eq!(rising(&v, &[1.0; 4], 0.125), v);
     }

@@ -42,7 +42,7 @@ fn knowable(wrong: &[f64], written: &[f64]) -> Vec<f64> {
 }
 
 #[test]
-fn what_was_written_wrong_comes_out_as_far_as_it_can_be_known() {
+fn wrong_exposures_are_corrected_as_far_as_determined() {
     let (exact, wrong) = ([-4.0, -2.5, -1.0, 0.5, 2.0], [0.09, -0.12, 0.05, 0.1, -0.07]);
     let written: Vec<f64> = exact.iter().zip(wrong).map(|(e, w)| e + w).collect();
     let (got, wanted) = (found(&exact, &written), knowable(&wrong.map(|w| -w), &written));
@@ -53,7 +53,7 @@ fn what_was_written_wrong_comes_out_as_far_as_it_can_be_known() {
 }
 
 #[test]
-fn exact_exposures_are_within_what_counts_as_still() {
+fn exact_exposures_are_not_corrected() {
     let exact = [-4.0, -2.5, -1.0, 0.5, 2.0];
     assert!(found(&exact, &exact).iter().all(|d| d.abs() < STILL / 2.0));
 }
@@ -71,7 +71,7 @@ fn a_common_factor_and_a_common_power_are_kept_as_written() {
 /// The normal equations without the elimination of ln E, the splines or the separate projection: all unknowns in one
 /// dense system.
 #[test]
-fn parts_give_what_the_whole_system_gives() {
+fn elimination_gives_the_solution_of_the_whole_system() {
     let written = [-3.0, -1.4, 0.0, 1.6];
     let exact = [-3.1, -1.5, 0.1, 1.5];
     let samples = scene(&exact, &written).map(|s| s.into_iter().step_by(9).collect::<Vec<_>>());

@@ -23,7 +23,7 @@ fn samples_are_unclipped_brighten_and_cover_the_codes() {
 }
 
 #[test]
-fn thinned_places_are_even_and_tell_the_same() {
+fn thinned_places_are_even_and_give_the_same_curve() {
     let (bracket, alignment) = still((400, 300), &[0.25, 1.0, 4.0], tiles);
     let all = Places::of(&bracket, &alignment).unwrap();
     let mut same = all.clone();
@@ -45,7 +45,7 @@ fn thinned_places_are_even_and_tell_the_same() {
 }
 
 #[test]
-fn edges_and_what_darkens_are_left_out() {
+fn edges_and_darkening_places_are_not_sampled() {
     let (bracket, alignment) = still((200, 200), &[0.5, 1.0], |x, _| [if x % 4 < 2 { 0.05 } else { 0.4 }; 3]);
     assert!(draw(&[&Places::of(&bracket, &alignment).unwrap()], 500).channels.iter().all(Vec::is_empty));
     let patch = |mean| Some([Patch { mean, deviation: 1.0, seen: true }; 3]);

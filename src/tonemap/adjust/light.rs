@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn brightness_and_back_is_the_same_picture_and_black_and_white_stay() {
+    fn brightness_is_reversible_and_keeps_black_and_white() {
         let light = ramp();
         for stops in [0.5, 2.0, 5.0] {
             let there = adjusted(&of(|o| o.brightness = -stops), None, &light);
@@ -276,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn light_that_is_white_is_grey_of_the_same_luminance_and_white_stays_white() {
+    fn light_shown_as_white_becomes_grey_of_the_same_luminance() {
         let lamp = Light { kelvin: 3400.0, tint: 12.0 };
         for colours in [Colours::Srgb, Colours::DisplayP3, Colours::AdobeRgb] {
             let encoder = Encoder::of(colours);

@@ -254,7 +254,7 @@ mod tests {
 
     /// The light of a scene that is grey on average is found, and white moves by `SHARE` towards it. A window, 30 times as bright, does not dominate.
     #[test]
-    fn auto_goes_a_part_of_the_way_to_the_mean_of_the_scene() {
+    fn auto_moves_white_partly_to_the_mean_colour() {
         let auto = |light: Light| {
             let mut overview = Overview::new(SIZE, &Primaries::SRGB);
             overview.see(0, &scene(light));

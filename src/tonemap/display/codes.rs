@@ -338,7 +338,7 @@ mod tests {
 
     /// A reader of the profile recovers the light that was encoded.
     #[test]
-    fn profile_tells_the_colours() {
+    fn profile_determines_the_colours() {
         assert_eq!(Colours::Srgb.profile(), None);
         for colours in [Colours::DisplayP3, Colours::AdobeRgb] {
             let profile = colours.profile().unwrap();

@@ -79,7 +79,7 @@ mod tests {
 
     /// Adobe RGB's green is outside sRGB: (-0.3983, 1, -0.0429) in linear sRGB, as published.
     #[test]
-    fn other_primaries_are_converted_and_white_stays_white() {
+    fn other_primaries_are_converted_and_white_is_kept() {
         let adobe = Primaries { green: [0.21, 0.71], ..Primaries::SRGB };
         let green = ToSrgb::from(&adobe).apply([0.0, 1.0, 0.0]);
         for (a, b) in green.iter().zip([-0.3983, 1.0, -0.0429]) {

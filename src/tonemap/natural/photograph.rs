@@ -145,7 +145,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_middle_and_white_are_where_they_were_asked_for_and_the_slope_below() {
+    fn curve_has_the_given_middle_white_and_slope() {
         for (contrast, white_stops) in [(1.0, 2.3), (1.4, 2.6), (1.75, 2.7), (1.0, 6.0), (1.0, 1.2)] {
             let photograph = Photograph::new(contrast, white_stops);
             let code = |stop: f64| f64::from(photograph.code(stop as f32));
@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn colours_are_shown_at_the_luminance_asked_for_paler_and_yellower_towards_white() {
+    fn colours_have_the_given_luminance_and_desaturate_towards_white() {
         let photograph = Photograph::new(1.4, 2.6);
         let (wood, grey) = ([2.6, 0.55, 0.16], [1.0; 3]);
         let hue = |[r, g, b]: [f32; 3]| (g - b) / (r - b);

@@ -54,7 +54,7 @@ fn both_sides_of_an_edge_are_shown() {
 
 /// The same room, but the longest photograph shows the shadows four stops darker: the picture is darker too.
 #[test]
-fn night_stays_night() {
+fn night_scene_stays_dark() {
     let map = room(1.0);
     let to = |longest| Some(Photographed { longest, shortest: 1024.0, contrast: 1.3, white_stops: 2.5 });
     let (day, night) = (shown(&map, to(1.0), &Options::default()), shown(&map, to(16.0), &Options::default()));
@@ -63,7 +63,7 @@ fn night_stays_night() {
 
 /// The mean code value is that of the fused photographs and not [`BRIGHTNESS`]; a brightness that is set is reached.
 #[test]
-fn brightness_is_that_of_the_fused_photographs_unless_it_is_set() {
+fn default_brightness_is_that_of_the_fused_photographs() {
     let map = room(1.0);
     let of = |brightness| {
         let photographed = Photographed { longest: 0.001, shortest: 1024.0, contrast: 1.3, white_stops: 2.5 };
@@ -77,7 +77,7 @@ fn brightness_is_that_of_the_fused_photographs_unless_it_is_set() {
 }
 
 #[test]
-fn settings_do_what_they_say() {
+fn settings_have_their_documented_effect() {
     let map = room(1.0);
     let plain = picture(&map, &Options::default());
     assert!((mean(&plain) / 255.0 - BRIGHTNESS).abs() < 0.06, "{}", mean(&plain));
@@ -99,7 +99,7 @@ fn settings_do_what_they_say() {
 
 /// Cells of 4 pixels: `detail` amplifies finer contrast.
 #[test]
-fn detail_raises_what_is_finer_than_a_cell() {
+fn detail_increases_contrast_finer_than_a_cell() {
     let map = Plane::from_rows(1600, 1200, |y, row| {
         for (x, p) in row.iter_mut().enumerate() {
             let l = libm::exp2f(x as f32 / 200.0 + if (x + y) % 2 == 0 { 0.1 } else { 0.0 });
@@ -115,7 +115,7 @@ fn detail_raises_what_is_finer_than_a_cell() {
 
 /// Saturated light over ten stops keeps its OkLCh hue and gains no chroma at its luminance, within the rounding of code values.
 #[test]
-fn hue_stays_and_no_colour_is_gained() {
+fn hue_is_kept_and_saturation_does_not_increase() {
     let colours = [[1.0, 0.2, 0.06], [0.1, 0.3, 1.0], [0.2, 1.0, 0.1], [1.0, 0.9, 0.3]];
     let map = Plane::from_rows(240, 160, |y, row| {
         for (x, p) in row.iter_mut().enumerate() {

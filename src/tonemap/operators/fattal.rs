@@ -164,7 +164,7 @@ mod tests {
 
     /// With beta = 1 every gradient is kept, and the picture is recovered up to its mean, within the solver's 1e-4 of six stops.
     #[test]
-    fn nothing_attenuated_nothing_changed() {
+    fn fattal_without_attenuation_changes_nothing() {
         let logs = logs(150, 90);
         let same = compressed(&logs, &Options { beta: 1.0, ..Options::default() });
         let shift = logs.at(0, 0) - same.at(0, 0);
@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn flat_stays_flat_and_small_is_no_matter() {
+    fn uniform_pictures_stay_uniform_at_any_size() {
         for (width, height) in [(1, 1), (2, 3), (1, 50), (70, 70)] {
             let flat = picture(&Plane::filled(width, height, [0.3; 3]), &Options::default());
             assert!(flat.as_slice().iter().all(|p| *p == flat.at(0, 0)), "{width}x{height}");
@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn options_do_what_they_say() {
+    fn options_have_their_documented_effect() {
         let map = radiance(&logs(120, 80), 1.0);
         let mean = |options: &Options| {
             let picture = picture(&map, options);

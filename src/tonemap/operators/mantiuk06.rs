@@ -290,7 +290,7 @@ mod tests {
 
     /// The oracle: the matrix of all contrasts from unit vectors, and its weighted normal equations in doubles.
     #[test]
-    fn it_is_the_weighed_least_squares_picture() {
+    fn solution_minimises_the_weighted_squares() {
         for (w, h) in [(13, 9), (7, 12), (2, 3)] {
             let n = w * h;
             // Contrasts that are those of no picture.
@@ -334,7 +334,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_scaled_nothing_changed() {
+    fn mantiuk06_without_scaling_changes_nothing() {
         let logs = logs(120, 77);
         let same = processed(&logs, &Options { contrast: 1.0, equalise: 0.0, ..Options::default() });
         let shift = logs.at(0, 0) - same.at(0, 0);
@@ -373,7 +373,7 @@ mod tests {
     }
 
     #[test]
-    fn flat_stays_flat_and_small_is_no_matter() {
+    fn uniform_pictures_stay_uniform_at_any_size() {
         for (width, height) in [(1, 1), (2, 3), (1, 50), (70, 70)] {
             for equalise in [0.0, 1.0] {
                 let map = Plane::filled(width, height, [0.3; 3]);

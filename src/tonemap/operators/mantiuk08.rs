@@ -380,7 +380,7 @@ mod tests {
 
     /// A scene of low dynamic range leaves room for more contrast.
     #[test]
-    fn contrast_is_what_is_aimed_at() {
+    fn contrast_reaches_the_target() {
         let map = radiance(1.0, 1.0);
         let spread = |contrast: f64| {
             let codes: Vec<u8> =
@@ -405,7 +405,7 @@ mod tests {
     }
 
     #[test]
-    fn flat_stays_flat_and_small_is_no_matter() {
+    fn uniform_pictures_stay_uniform_at_any_size() {
         for (width, height) in [(1, 1), (2, 3), (1, 50), (70, 70)] {
             let flat = picture(&Plane::filled(width, height, [0.3; 3]), &Options::default());
             assert!(flat.as_slice().iter().all(|p| *p == flat.at(0, 0)), "{width}x{height}");

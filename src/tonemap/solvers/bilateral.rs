@@ -94,7 +94,7 @@ mod tests {
     /// Compared with the double sum of Tomasi & Manduchi. The grid samples both Gaussians once per standard deviation, for which Paris & Durand report
     /// 40 dB and more; 1 % of 6 stops is 0.06.
     #[test]
-    fn it_is_the_double_sum_up_to_sampling() {
+    fn result_equals_the_double_sum_up_to_sampling() {
         let (logs, reach, edge) = (scene(), 5.0f32, 1.3f32);
         let fast = bilateral(&logs, reach, edge);
         let g = |d: f32, s: f32| f64::from(-0.5 * (d / s) * (d / s)).exp();
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn one_cell_and_one_luminance_stay() {
+    fn uniform_luminance_is_unchanged() {
         assert_eq!(bilateral(&Plane::filled(1, 1, 3.0), 0.5, 1.0).as_slice(), [3.0]);
         let flat = bilateral(&Plane::filled(9, 4, -7.25), 2.0, 1.0);
         assert!(flat.as_slice().iter().all(|l| (l + 7.25).abs() < 1e-6));

@@ -24,7 +24,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_mean_code_is_what_was_asked_for_or_as_near_as_it_gets() {
+    fn mean_code_is_the_requested_one_or_the_closest() {
         let linear: Vec<f64> = (0..1000).map(|i| f64::from(i) / 999.0).collect();
         let found = |brightness| power(&linear, brightness, (0.5, 2.0), 30);
         for brightness in [0.55, 0.7, 0.8] {

@@ -89,7 +89,7 @@ mod tests {
 
     /// The ends of the ramp are black and white, its mean code value is the target, and a narrow range is not stretched to fill the display.
     #[test]
-    fn the_range_is_filled_and_fog_stays_fog() {
+    fn range_is_filled_and_fog_keeps_low_contrast() {
         for stops in [6.0, 12.0] {
             let codes = filled(stops, &PLAIN);
             assert!(

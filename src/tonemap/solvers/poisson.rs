@@ -343,7 +343,7 @@ mod tests {
 
     /// Gradients that are those of no picture, on odd, even and thin grids. The tolerance is 1e-4 of values of a few units.
     #[test]
-    fn it_is_the_least_squares_picture() {
+    fn solution_minimises_the_squares() {
         for (w, h) in [(1, 1), (2, 3), (1, 17), (16, 16), (21, 13), (3, 30), (25, 24)] {
             let (right, down) = (noise(w, h, 1), noise(w, h, 2));
             let found = integrated(&right, &down);

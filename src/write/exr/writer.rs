@@ -337,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_known_is_in_the_header() {
+    fn known_metadata_are_in_the_header() {
         let mut metadata = Metadata {
             time_s: Some(0.125),
             f_number: Some(8.0),
@@ -367,7 +367,7 @@ mod tests {
     }
 
     #[test]
-    fn too_bright_for_a_half_is_reported() {
+    fn values_above_the_range_of_halves_are_reported() {
         let bright = Plane::filled(2, 2, [65504.0, 65505.0, 1e-30]);
         let halves = Options { sample: Sample::Half, ..Options::default() };
         let (_, warnings, map, _) = written(&bright, &Metadata::default(), &halves, 2);

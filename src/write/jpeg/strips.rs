@@ -182,7 +182,7 @@ mod tests {
 
     /// The decoded pixels of the strips are those that a reader of the file decodes: the map is made for them.
     #[test]
-    fn another_decoder_reads_what_the_strips_say() {
+    fn another_decoder_reads_the_strips() {
         for (width, height) in [(1, 1), (9, 64), (50, 65), (131, 64 * 11 + 9)] {
             let picture = picture(width, height);
             let (mut strips, mut own) = (Strips::new((width, height), 64), Vec::new());

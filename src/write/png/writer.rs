@@ -274,7 +274,7 @@ mod tests {
 
     /// Section 9.2, implemented byte by byte.
     #[test]
-    fn rows_are_filtered_as_the_standard_says() {
+    fn rows_are_filtered_by_the_standard() {
         for width in [1, 2, 21, 200] {
             let picture = picture(2 * width, 9);
             for (pixel, bytes) in [(3, &picture.as_slice()[..9 * width]), (6, picture.as_slice())] {

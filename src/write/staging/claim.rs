@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn sweep_removes_what_no_living_process_claims_and_nothing_else() {
+    fn sweep_removes_only_files_of_ended_processes() {
         let dir = tempfile::tempdir().unwrap();
         let at = |name: &str| dir.path().join(name);
         let there = || {
@@ -191,7 +191,7 @@ mod tests {
 
     /// Sweeps that run continuously remove no file from threads that create them.
     #[test]
-    fn claims_made_during_a_sweep_stay() {
+    fn claims_made_during_a_sweep_are_kept() {
         let dir = tempfile::tempdir().unwrap();
         let folder = dir.path();
         std::thread::scope(|scope| {

@@ -375,7 +375,7 @@ mod tests {
 
     /// Data written after the sync was started are also in the file.
     #[test]
-    fn sync_ahead_before_the_last_byte_loses_nothing() {
+    fn sync_ahead_before_the_last_byte_keeps_all_bytes() {
         let dir = tempfile::tempdir().unwrap();
         let a = dir.path().join("a.exr");
         let mut file = pending(&a, "one");

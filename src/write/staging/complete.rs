@@ -135,7 +135,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn replace_reservation_target_exists_or_source_missing_changes_nothing() {
+    fn replace_reservation_target_exists_or_source_missing_is_an_error() {
         let dir = tempfile::tempdir().unwrap();
         let at = |name: &str| dir.path().join(name);
         fs::write(at("from"), "bytes").unwrap();

@@ -181,7 +181,7 @@ mod tests {
     /// Half a step of luminance is 0.55 % or 0.14 %; of chromaticity 0.00175 or 0.00122 in u' and v', which for red
     /// or blue of these colours is up to 5 % of the largest component.
     #[test]
-    fn what_is_written_comes_back_within_the_steps() {
+    fn pixels_are_read_back_within_the_steps() {
         for (depth, tolerance) in [(Depth::Bits24, 0.0056), (Depth::Bits32, 0.0014)] {
             for scale in [1.0, 300.0] {
                 let map = picture(scale);
@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_beyond_is_reported() {
+    fn colours_outside_the_space_are_reported() {
         let mut map = picture(1.0);
         map.pixels.row_mut(3)[5] = [1e6; 3];
         map.pixels.row_mut(3)[6] = [1e-6; 3];

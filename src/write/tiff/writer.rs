@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn tags_say_what_is_known() {
+    fn tags_contain_the_known_values() {
         let mut metadata = Metadata {
             profile: Some(Profile { icc: (0..=99).collect(), description: String::new(), primaries: None }),
             ..Metadata::default()

@@ -67,7 +67,7 @@ fn exif_that_is_off_by_a_million_is_not_used() {
 }
 
 #[test]
-fn exif_that_is_off_by_a_stop_is_corrected_in_part_and_reported() {
+fn exif_wrong_by_a_stop_is_partly_corrected_with_a_warning() {
     let folder = Folder::empty();
     for (i, denom) in [128, 32, 16].into_iter().enumerate() {
         folder.put(&format!("f{}.jpg", i + 1), &timed(&frame(i + 2), 1, denom));
@@ -79,7 +79,7 @@ fn exif_that_is_off_by_a_stop_is_corrected_in_part_and_reported() {
 
 /// Exposures given by the user are used, with a warning if they are impossible; radiance is always valid.
 #[test]
-fn what_the_user_says_is_done_and_doubted() {
+fn exposures_of_the_user_are_used_with_a_warning() {
     let folder = Folder::empty();
     let names = window(&folder, [2, 3, 4]);
     for (ev, is_doubted) in [
@@ -100,7 +100,7 @@ fn what_the_user_says_is_done_and_doubted() {
 /// A copy under another name, with the same exposure: the same radiance, no more accurate than one of them, and a
 /// warning.
 #[test]
-fn a_copy_adds_nothing_and_is_reported() {
+fn copy_of_a_frame_is_merged_with_a_warning() {
     let folder = Folder::empty();
     let names = exposed(&folder, &[(&frame(3), 3), (&frame(3), 3)]);
     let merged = merged(&folder, &names);
@@ -153,7 +153,7 @@ fn one_frame_that_is_at_odds_does_not_affect_the_others() {
 }
 
 #[test]
-fn equal_frames_without_exif_are_asked_for_exposures() {
+fn equal_frames_without_exif_need_exposures() {
     let folder = Folder::empty();
     let names = lossless(&folder, &[&frame(3), &frame(3)]);
     refused(&folder, &names, &["f1.png", "no usable exposure", "equally bright", "-e"]);

@@ -40,7 +40,7 @@ fn colour(i: usize) -> DynamicImage {
 }
 
 #[test]
-fn a_grey_frame_goes_with_coloured_ones() {
+fn grey_frame_is_merged_with_colour_frames() {
     let grey = DynamicImage::ImageLuma8(colour(4).to_luma8());
     let mut file = Vec::new();
     JpegEncoder::new_with_quality(&mut file, 95).encode_image(&grey).expect("a JPEG");
@@ -49,7 +49,7 @@ fn a_grey_frame_goes_with_coloured_ones() {
 }
 
 #[test]
-fn a_png_goes_with_jpegs_whatever_its_name() {
+fn png_with_any_name_is_merged_with_jpegs() {
     let file = with_exif_of(4, png(&frame(4)));
     let merged = taken(file.clone(), "f3.png", "");
     assert_eq!(merged.frame("f3.png")["exposure_source"], "exif");
@@ -57,13 +57,13 @@ fn a_png_goes_with_jpegs_whatever_its_name() {
 }
 
 #[test]
-fn a_tiff_goes_with_jpegs() {
+fn tiff_is_merged_with_jpegs() {
     let merged = taken(encoded(&colour(4), ImageFormat::Tiff), "f3.tif", "-e=-2,0,2");
     assert!(merged.warnings().is_empty(), "{:?}", merged.warnings());
 }
 
 #[test]
-fn a_frame_of_16_bit_goes_with_ones_of_8() {
+fn frame_of_16_bits_is_merged_with_frames_of_8() {
     let wide = DynamicImage::ImageRgb16(colour(4).to_rgb16());
     let merged = taken(encoded(&wide, ImageFormat::Png), "f3.png", "-e=-2,0,2");
     assert!(
@@ -75,7 +75,7 @@ fn a_frame_of_16_bit_goes_with_ones_of_8() {
 
 /// There is no background, so alpha is ignored and the colour of transparent pixels is used.
 #[test]
-fn transparency_is_no_matter() {
+fn transparency_is_ignored() {
     let mut holed = colour(4).to_rgba8();
     holed
         .enumerate_pixels_mut()
@@ -118,7 +118,7 @@ fn a_palette_is_looked_up() {
 /// Two tones determine neither exposure nor alignment; the frame is aligned or rejected, and the others are not
 /// affected.
 #[test]
-fn a_frame_of_one_bit_affects_nothing() {
+fn frame_with_one_bit_per_pixel_does_not_affect_the_others() {
     let grey = colour(4).to_luma8();
     let bit = |x: u32, y: u32| u8::from(x < 300 && grey.get_pixel(x.min(299), y).0[0] > 120);
     let rows: Vec<u8> = (0..200)
@@ -145,7 +145,7 @@ fn a_cmyk_jpeg_is_taken_to_rgb() {
 }
 
 #[test]
-fn another_profile_is_reported_and_a_damaged_one_ignored() {
+fn different_profile_is_a_warning_and_damaged_one_is_ignored() {
     let with_profile = |profile: Vec<u8>| {
         let mut file = img_parts::jpeg::Jpeg::from_bytes(Bytes::from(small_jpeg(4).to_vec())).expect("a JPEG");
         file.set_icc_profile(Some(profile.into()));
@@ -218,7 +218,7 @@ fn an_interlaced_png_is_read() {
 }
 
 #[test]
-fn what_is_no_picture_is_named() {
+fn files_that_are_not_pictures_are_named() {
     let webp = [b"RIFF\x24\0\0\0WEBPVP8L".to_vec(), vec![0; 40]].concat();
     for (content, name, said) in [
         (b"not a photograph".repeat(9), "f3.jpg", "text"),
@@ -236,13 +236,13 @@ fn what_is_no_picture_is_named() {
 
 /// Thumbnails, films and notes after the picture have no effect.
 #[test]
-fn what_follows_the_picture_is_no_matter() {
+fn data_after_the_picture_are_ignored() {
     let file = [small_jpeg(4), &b"and a film".repeat(1000)[..]].concat();
     taken(file, "f3.jpg", "");
 }
 
 #[test]
-fn a_16_bit_grey_png_with_alpha_goes_too() {
+fn grey_16_bit_png_with_alpha_is_read() {
     let grey = colour(4).to_luma8();
     let pixels: Vec<u16> = grey.pixels().flat_map(|p| [257 * u16::from(p.0[0]), 30_000]).collect();
     let picture: ImageBuffer<image::LumaA<u16>, Vec<u16>> = ImageBuffer::from_raw(300, 200, pixels).expect("a picture");

@@ -45,7 +45,7 @@ fn count(folder: &Folder, name: &str, extension: &str) -> usize {
 }
 
 #[test]
-fn a_night_of_bad_brackets_does_the_good_ones_and_tells_of_each() {
+fn batch_with_bad_brackets_merges_the_good_ones_and_reports_each() {
     let folder = Folder::empty();
     let night = night();
     for (name, _, files) in &night {

@@ -66,7 +66,7 @@ fn one_colour_a_frame_is_that_of_the_frame_that_shows_it() {
 }
 
 #[test]
-fn without_exposures_plain_frames_are_asked_for_them() {
+fn uniform_frames_without_exposures_are_an_error() {
     for colour in [[0; 3], [255; 3], [90, 120, 60]] {
         let folder = Folder::empty();
         let names = lossless(&folder, &[&flat(colour), &flat(colour)]);
@@ -82,7 +82,7 @@ fn noise(seed: u64) -> RgbImage {
 }
 
 #[test]
-fn noise_that_stays_is_a_still_picture() {
+fn equal_noise_in_each_frame_is_a_static_scene() {
     let folder = Folder::empty();
     let pixels = noise(1);
     let names = lossless(&folder, &[&times(&pixels, 0.5), &pixels]);
@@ -93,7 +93,7 @@ fn noise_that_stays_is_a_still_picture() {
 }
 
 #[test]
-fn noise_that_changes_is_no_bracket() {
+fn different_noise_in_each_frame_is_an_error() {
     let folder = Folder::empty();
     let names = lossless(&folder, &[&noise(1), &noise(2), &noise(3)]);
     refused(&folder, &format!("{names} -e=-2,0,2"), &["no other frame could be aligned", "--align none"]);
@@ -106,7 +106,7 @@ fn checkerboard(side: u32, most: u8) -> RgbImage {
 /// Its position is known only up to its period, so any is accepted, and EXIF is used. Two codes per frame do not
 /// determine exposures.
 #[test]
-fn a_checkerboard_stays_where_it_is() {
+fn checkerboard_is_merged_without_a_shift() {
     let folder = Folder::empty();
     let boards = [60, 110, 200].map(|most| checkerboard(8, most));
     let names = exposed(&folder, &[(&boards[0], 2), (&boards[1], 3), (&boards[2], 4)]);
@@ -119,7 +119,7 @@ fn a_checkerboard_stays_where_it_is() {
 
 /// With squares of one pixel every second position is right, and no level below full size shows them.
 #[test]
-fn a_checkerboard_of_pixels_is_refused_and_merged_where_it_is_said_to_lie() {
+fn pixel_checkerboard_is_an_error_and_is_merged_without_alignment() {
     let folder = Folder::empty();
     let names = lossless(&folder, &[&checkerboard(1, 100), &checkerboard(1, 200)]);
     refused(&folder, &format!("{names} -e=-2,0"), &["no other frame could be aligned", "--align none"]);

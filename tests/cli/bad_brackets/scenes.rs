@@ -107,7 +107,7 @@ fn the_users_reference_is_not_exchanged() {
 
 /// The middle of the picture is different in each frame: the rest determines the motion.
 #[test]
-fn a_middle_that_is_another_in_each_frame_does_not_lead() {
+fn different_centre_in_each_frame_does_not_affect_alignment() {
     let (good, bad) = (Folder::empty(), Folder::empty());
     let truth = merged(&good, &exposed(&good, &[(&frame(2), 2), (&frame(3), 3), (&frame(4), 4)]));
     let crowd = |i: usize| {

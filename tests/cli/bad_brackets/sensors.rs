@@ -32,7 +32,7 @@ fn places_hold(spoilt: impl Fn(&mut RgbImage, usize), most: f64, least_confidenc
 }
 
 #[test]
-fn a_dead_row_or_column_does_not_lead() {
+fn dead_row_or_column_does_not_affect_alignment() {
     places_hold(|picture, _| (0..300).for_each(|x| picture.put_pixel(x, 90, Rgb([0; 3]))), 0.3, 0.8);
     places_hold(|picture, _| (0..200).for_each(|y| picture.put_pixel(120, y, Rgb([255; 3]))), 0.3, 0.8);
     // In one frame of three.
@@ -49,7 +49,7 @@ fn a_dead_row_or_column_does_not_lead() {
 /// Hot pixels stay at their position on the sensor while the camera moves by three to five pixels: alone they would
 /// give no motion.
 #[test]
-fn hot_pixels_do_not_lead() {
+fn hot_pixels_do_not_affect_alignment() {
     let hot = |picture: &mut RgbImage, _| {
         let mut random = Random(5);
         for _ in 0..300 {
@@ -78,7 +78,7 @@ fn hot_pixels_do_not_lead() {
 
 /// A shutter or flash left half of a frame black: if that frame is aligned, the other frames fill the black half.
 #[test]
-fn a_half_black_frame_affects_nothing() {
+fn half_black_frame_does_not_affect_the_result() {
     let folder = Folder::empty();
     let mut half = frame(4);
     (0..300 * 100).for_each(|i| half.put_pixel(i % 300, 100 + i / 300, Rgb([0; 3])));

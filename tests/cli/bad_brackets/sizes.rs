@@ -10,7 +10,7 @@ fn piece(i: usize, width: u32, height: u32) -> RgbImage {
 
 /// Too small to determine the motion: merged without alignment, with a warning.
 #[test]
-fn the_smallest_pictures_are_merged_as_they_lie() {
+fn smallest_pictures_are_merged_without_alignment() {
     for (width, height) in
         [(1, 1), (1, 40), (40, 1), (2, 2), (3, 3), (2, 33), (5, 4), (8, 8), (16, 3), (16, 16), (31, 31)]
     {
@@ -102,7 +102,7 @@ fn a_hundred_frames_are_merged() {
 }
 
 #[test]
-fn no_frame_and_one_frame_are_no_bracket() {
+fn bracket_needs_two_frames() {
     let folder = Folder::with_bracket();
     for (line, said) in [("merge", "IMAGES"), ("merge w1.jpg", "at least two")] {
         let run = folder.line(line);

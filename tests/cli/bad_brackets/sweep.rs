@@ -90,7 +90,7 @@ fn degenerate_brackets_by_every_operator() {
 
 /// Black is black and white is white with every operator.
 #[test]
-fn black_and_white_stay_so_by_every_operator() {
+fn black_and_white_are_kept_by_every_operator() {
     for operator in OPERATORS {
         for code in [0, 255] {
             let folder = Folder::empty();

@@ -7,7 +7,7 @@ use std::fs;
 use std::path::Path;
 
 #[test]
-fn what_is_unchanged_is_not_done_again_by_content_and_not_by_date() {
+fn unchanged_brackets_are_recognised_by_hash() {
     let folder = Folder::empty();
     let paths = card(&folder, 3);
     folder.line("batch in -d out -q").done();
@@ -104,7 +104,7 @@ fn a_file_that_was_there_before_is_kept() {
 
 /// A user may have files with the names of summaries.
 #[test]
-fn summary_of_somebody_else_is_kept_and_nothing_is_done() {
+fn summary_of_somebody_else_is_kept_and_the_batch_fails() {
     let folder = Folder::empty();
     card(&folder, 1);
     let plan = folder.line("batch --plan in -d out").done().stdout;
@@ -167,7 +167,7 @@ fn bracket_with_the_name_of_the_summary_gets_another() {
 
 /// After a kill between two renames, a job has a report and not all results: the next run recognises them as its own.
 #[test]
-fn what_was_interrupted_is_ended() {
+fn interrupted_batch_is_completed_by_the_next_run() {
     let folder = Folder::empty();
     card(&folder, 1);
     let name = |extension: &str| format!("out/a/IMG_0001-IMG_0003.{extension}");

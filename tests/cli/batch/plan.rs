@@ -51,7 +51,7 @@ fn jobs_give_the_bytes_of_the_local_run() {
 }
 
 #[test]
-fn a_job_that_fails_is_reported_and_in_the_summary() {
+fn failed_job_is_printed_and_in_the_summary() {
     let folder = Folder::empty();
     let paths = card(&folder, 2);
     let lines = planned(&folder, "");
@@ -94,7 +94,7 @@ fn a_job_may_be_run_twice_at_the_same_time() {
 }
 
 #[test]
-fn what_is_no_plan_is_refused_with_the_line() {
+fn invalid_plan_is_rejected_with_its_line() {
     let folder = Folder::empty();
     card(&folder, 1);
     let line = &planned(&folder, "")[0];

@@ -38,7 +38,7 @@ fn hidden(folder: &Folder) -> usize {
 }
 
 #[test]
-fn ctrl_c_ends_what_has_begun_and_a_kill_loses_nothing_that_was_whole() {
+fn ctrl_c_finishes_running_jobs_and_a_kill_keeps_complete_results() {
     let folder = Folder::empty();
     card(&folder, BRACKETS);
     folder.line("batch in -d out -q").done();

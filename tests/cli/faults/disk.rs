@@ -16,7 +16,7 @@ fn on_disk(folder: &Folder, size: &str, script: &str) -> Run {
 }
 
 #[test]
-fn a_file_that_outgrows_its_limit_is_named_and_none_is_left() {
+fn file_size_limit_names_the_file_and_leaves_no_files() {
     let folder = bracket();
     folder.line(&format!("merge {FRAMES} -q -o a.exr -o b.exr -o a.png")).done();
     // Blocks of 512 bytes: smaller than any of these files.
@@ -61,7 +61,7 @@ fn a_file_that_outgrows_its_limit_is_named_and_none_is_left() {
 }
 
 #[test]
-fn of_several_files_none_is_named_when_one_has_no_room_and_older_ones_stay() {
+fn full_disk_names_no_file_of_a_run_and_keeps_older_ones() {
     let folder = bracket();
     let files = "-o a.png -o a.jpg -o a.hdr -o a.tif -o a.exr --report a.json";
     folder.line(&format!("merge {FRAMES} -q {files} --response-model srgb")).done();
@@ -80,7 +80,7 @@ fn of_several_files_none_is_named_when_one_has_no_room_and_older_ones_stay() {
 
 #[test]
 #[ignore = "mounts a disk of memory; .ci/run runs it where the system allows that"]
-fn a_full_disk_is_named_with_what_to_do() {
+fn full_disk_names_the_file_and_the_remedy() {
     let folder = bracket();
     for (size, line) in [
         ("40k", "merge FRAMES -q -o full/c.exr"),
@@ -154,7 +154,7 @@ fn a_batch_on_a_full_disk_stops_and_is_taken_up_again() {
 
 /// Results are kept although there is no space for the summary.
 #[test]
-fn a_summary_that_cannot_be_written_costs_nothing_else() {
+fn unwritable_summary_does_not_affect_results() {
     let folder = Folder::empty();
     Card::new(64).brackets(2, 3, 2.0).write(&folder.at("in"));
     // An existing folder in its place is reported at once.

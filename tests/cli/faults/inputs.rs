@@ -13,7 +13,7 @@ use std::path::Path;
 use std::process::Command;
 
 #[test]
-fn what_is_no_photograph_is_named_for_what_it_is() {
+fn files_that_are_not_photographs_are_reported_with_their_type() {
     let folder = bracket();
     fs::create_dir(folder.at("d.jpg")).expect("a folder");
     folder.put("e.jpg", b"");
@@ -77,7 +77,7 @@ fn a_panic_of_a_decoder_is_not_printed() {
 /// /proc/self/mem can be opened like a file and fails when it is read, like a damaged card.
 #[test]
 #[cfg_attr(not(target_os = "linux"), ignore = "needs /proc/self/mem")]
-fn a_file_that_fails_while_it_is_read_is_named() {
+fn read_failure_names_the_file() {
     let folder = bracket();
     symlink("/proc/self/mem", folder.at("bad.jpg")).expect("a link");
     symlink("/proc/self/mem", folder.at("bad.exr")).expect("a link");

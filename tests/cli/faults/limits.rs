@@ -5,7 +5,7 @@ use crate::support::Folder;
 use crate::support::card::Card;
 
 #[test]
-fn few_open_files_are_enough_and_fewer_are_reported() {
+fn few_open_files_are_enough_and_too_few_are_an_error() {
     let folder = bracket();
     let outputs = "-o a.exr -o a.png -o a.jpg -o a.tif -o a.hdr";
     // Photographs are read one after the other, so that the error is always for the same file.
@@ -72,7 +72,7 @@ fn threads_that_are_refused_are_an_error() {
 /// Each thread in turn: if the run needs it, there is an error; otherwise the result is the same.
 #[test]
 #[cfg_attr(not(all(target_os = "linux", target_env = "gnu")), ignore = "needs LD_PRELOAD and glibc")]
-fn refused_thread_is_an_error_or_changes_nothing() {
+fn refused_thread_is_an_error_or_has_no_effect() {
     let folder = bracket();
     let line = format!("merge {FRAMES} -q --threads 3 -o a.exr -o a.png --report a.html --force");
     folder.line(&line).done();

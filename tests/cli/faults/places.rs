@@ -8,7 +8,7 @@ use std::os::unix::fs::{MetadataExt, PermissionsExt, symlink};
 use std::path::Path;
 
 #[test]
-fn a_link_is_replaced_and_what_it_points_to_is_left() {
+fn link_is_replaced_and_its_target_is_unchanged() {
     let folder = bracket();
     folder.put("precious", b"precious");
     for (to, name) in

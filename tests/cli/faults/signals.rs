@@ -52,21 +52,21 @@ fn interrupted(folder: &Folder, line: &str, outputs: &[&str]) {
 }
 
 #[test]
-fn merge_leaves_all_or_nothing() {
+fn interrupted_merge_leaves_all_files_or_none() {
     let line =
         format!("merge {FRAMES} -o a.exr -o a.png -o a.jpg -o a.tif -o a.hdr --report a.html --save-response a.rsp");
     interrupted(&bracket(), &line, &["a.exr", "a.png", "a.jpg", "a.tif", "a.hdr", "a.html", "a.rsp"]);
 }
 
 #[test]
-fn align_leaves_all_or_nothing() {
+fn interrupted_align_leaves_all_files_or_none() {
     let line =
         format!("align {FRAMES} --save-aligned on_ --transforms t.json --threads 16 --max-memory 64MB --scratch .");
     interrupted(&bracket(), &line, &["on_w2.tif", "on_w3.tif", "on_w4.tif", "t.json"]);
 }
 
 #[test]
-fn tonemap_and_response_leave_all_or_nothing() {
+fn interrupted_tonemap_and_response_leave_all_files_or_none() {
     let folder = bracket();
     folder.line(&format!("merge {FRAMES} -q -o map.exr")).done();
     interrupted(&folder, "tonemap map.exr --tmo mantiuk06 -o b.png -o b.jpg", &["b.png", "b.jpg"]);
@@ -74,13 +74,13 @@ fn tonemap_and_response_leave_all_or_nothing() {
 }
 
 #[test]
-fn inspect_leaves_all_or_nothing_of_its_folder() {
+fn interrupted_inspect_leaves_the_complete_folder_or_none() {
     interrupted(&bracket(), &format!("inspect {FRAMES} -d look"), &["look/tables.txt", "look/w2.threshold.png"]);
 }
 
 /// As with `nohup`, and as a shell does for background processes.
 #[test]
-fn what_is_to_be_ignored_is_ignored() {
+fn ignored_signals_stay_ignored() {
     let folder = bracket();
     for (i, signal) in ["HUP", "INT"].into_iter().enumerate() {
         let script = format!(
@@ -114,7 +114,7 @@ fn ignored_signals_are_found_without_a_list_of_them() {
 
 /// Stopping and continuing, and SIGPIPE, change nothing.
 #[test]
-fn a_pause_changes_nothing() {
+fn pause_and_sigpipe_do_not_change_the_result() {
     let folder = bracket();
     folder.line(&format!("merge {FRAMES} -q -o a.exr")).done();
     let mut child = begin(&folder, &format!("merge {FRAMES} -q -o b.exr"));
@@ -134,7 +134,7 @@ fn a_pause_changes_nothing() {
 
 /// The second signal stops a batch at once.
 #[test]
-fn a_batch_reported_twice_stops_at_once() {
+fn second_signal_stops_a_batch_at_once() {
     let folder = Folder::empty();
     crate::support::card::Card::new(300).brackets(6, 3, 2.0).write(&folder.at("in"));
     // If the batch ended before it was observed, it is started again.

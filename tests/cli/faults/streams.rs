@@ -6,7 +6,7 @@ use crate::support::card::Card;
 
 #[test]
 #[cfg_attr(not(target_os = "linux"), ignore = "needs /dev/full")]
-fn results_that_find_no_room_are_an_error_and_files_stay() {
+fn full_stdout_is_an_error_and_files_are_kept() {
     let folder = bracket();
     Card::new(64).brackets(1, 3, 2.0).write(&folder.at("in"));
     let said = ["standard output", "No space left", "another place"];
@@ -34,7 +34,7 @@ fn results_that_find_no_room_are_an_error_and_files_stay() {
 }
 
 #[test]
-fn a_reader_that_is_gone_and_a_closed_stdout_are_no_failure() {
+fn closed_stdout_or_reader_is_not_an_error() {
     let folder = bracket();
     for (i, out) in ["| true", ">&-"].into_iter().enumerate() {
         for line in [&format!("merge {FRAMES} -q --json -o a{i}.exr")[..], "completions bash", "man", "--help"] {
@@ -48,7 +48,7 @@ fn a_reader_that_is_gone_and_a_closed_stdout_are_no_failure() {
 /// Messages are lost, but the work continues, and the exit code is the same.
 #[test]
 #[cfg_attr(not(target_os = "linux"), ignore = "needs /dev/full")]
-fn what_nobody_can_be_reported_stops_nothing() {
+fn closed_stderr_does_not_stop_the_work() {
     let folder = bracket();
     Card::new(64).brackets(2, 3, 2.0).write(&folder.at("in"));
     let heard = shell(&folder, &format!("$H merge {FRAMES} -v -o a.exr"));
@@ -76,7 +76,7 @@ fn what_nobody_can_be_reported_stops_nothing() {
 }
 
 #[test]
-fn a_plan_that_is_cut_off_is_none() {
+fn truncated_plan_is_an_error() {
     let folder = Folder::empty();
     Card::new(64).brackets(1, 3, 2.0).write(&folder.at("in"));
     fails(

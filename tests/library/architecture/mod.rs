@@ -37,7 +37,7 @@ const LAYERS: [&str; 26] = [
 ];
 
 /// Alternatives for the same task, which must not use each other.
-const RIVALS: [(&str, &[&str]); 5] = [
+const ALTERNATIVES: [(&str, &[&str]); 5] = [
     ("align", &["bitmaps", "features"]),
     ("align::features", &["ransac", "lmeds"]),
     ("response", &["debevec", "mitsunaga_nayar", "robertson"]),
@@ -186,7 +186,7 @@ fn siblings_do_not_use_each_other_in_circles() {
 
 fn rivals_that_meet(edges: &Edges) -> Vec<String> {
     let mut found = Vec::new();
-    for (stage, rivals) in RIVALS {
+    for (stage, rivals) in ALTERNATIVES {
         let Some(siblings) = edges.get(stage) else { continue };
         for from in rivals {
             let met = reach(siblings, from);
@@ -200,7 +200,7 @@ fn rivals_that_meet(edges: &Edges) -> Vec<String> {
 }
 
 #[test]
-fn rivals_never_meet() {
+fn alternatives_do_not_use_each_other() {
     assert_none(rivals_that_meet(&sibling_edges(&code().collect::<Vec<_>>())), "rivals that know each other");
 }
 
@@ -270,7 +270,7 @@ fn no_file_is_long() {
 }
 
 #[test]
-fn no_module_is_named_for_what_does_not_belong_together() {
+fn no_module_has_a_vague_name() {
     let names = ["utils", "util", "common", "helpers", "misc", "core", "types"];
     let vague = sources().into_iter().filter(|s| s.module.iter().any(|m| names.contains(&m.as_str())));
     assert_none(vague.map(|s| format!("{}:1", s.path)).collect(), "modules that could hold anything");
@@ -288,7 +288,7 @@ fn no_crate_has_the_processor_choose_the_order_of_sums() {
 }
 
 #[test]
-fn unsafe_is_nowhere() {
+fn there_is_no_unsafe_code() {
     let found: Vec<String> =
         sources().iter().flat_map(|s| s.words("unsafe").map(|at| s.place(at)).collect::<Vec<_>>()).collect();
     assert_none(found, "unsafe");
@@ -315,7 +315,7 @@ mod made_up {
     }
 
     #[test]
-    fn circles_and_rivals_are_seen() {
+    fn cycles_and_uses_between_alternatives_are_found() {
         let sources = [
             Source::new("src/response/mod.rs", "mod debevec;"),
             Source::new("src/response/debevec.rs", "use super::{Curve, solve};"),

@@ -34,7 +34,7 @@ fn a_level_is_the_least_that_enough_pixels_do_not_exceed() {
 }
 
 #[test]
-fn the_median_gives_way_where_it_is_clipped_or_black() {
+fn another_percentile_is_used_if_the_median_is_clipped_or_black() {
     let spread: Vec<(u8, usize)> = (40..140).map(|v| (v, 4)).collect();
     let normal = histogram(&spread);
     let with = |end: u8| histogram(&[&spread[..], &[(end, 600)]].concat());
@@ -103,7 +103,7 @@ fn rotations_down_to_a_hundredth_of_a_degree_are_found() {
 }
 
 #[test]
-fn what_no_rotation_can_follow_is_part_of_the_error() {
+fn motion_outside_the_model_is_part_of_the_error() {
     let take =
         |transform: &Transform, ev| GreyPyramid::new(Scene::new(6).photograph((512, 384), transform, Shot::at(ev)));
     let reference = take(&Transform::Identity, 0.0);
@@ -141,7 +141,7 @@ fn a_large_picture_is_searched_at_half_its_size() {
 }
 
 #[test]
-fn no_motion_is_exactly_none() {
+fn static_bracket_has_no_ghosts_at_all() {
     let (a, b) = pair((384, 256), &Transform::Identity);
     let result = search(&a, &b, 0, &MtbOptions::default());
     assert_eq!(result.motion, Motion::default());
@@ -158,7 +158,7 @@ fn the_reach_follows_the_size() {
 }
 
 #[test]
-fn where_no_rotation_is_allowed_none_is_found() {
+fn rotation_is_zero_if_not_allowed() {
     let (a, b) = pair((384, 256), &rigid(3.0, 2.0, 1.0));
     let options = MtbOptions { max_rotation_deg: 0.0, ..MtbOptions::default() };
     assert_eq!(search(&a, &b, 0, &options).motion.angle, 0.0);

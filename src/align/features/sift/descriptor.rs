@@ -186,7 +186,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_row_crosses_the_square_where_its_samples_lie_in_it() {
+    fn row_crosses_the_square_at_its_samples() {
         let side = 2.5f32;
         for k in 0..48 {
             let (sin, cos) = (k as f32 * std::f32::consts::PI / 24.0).sin_cos();

@@ -392,7 +392,7 @@ fn brackets_of_many_habits_are_found_as_they_were_taken() {
 }
 
 #[test]
-fn snapshots_are_no_brackets() {
+fn snapshots_are_not_brackets() {
     let mut chance = Chance(5);
     let (mut found, mut frames) = (0, 0);
     for _ in 0..100 {
@@ -426,7 +426,7 @@ fn snapshots_are_no_brackets() {
 /// Five exposures of Canon's 300D: a bracket of three, the compensation changed by three stops, and the start of
 /// another bracket.
 #[test]
-fn a_bracket_that_was_shifted_goes_on() {
+fn shifted_bracket_is_continued() {
     let beat = |at_s: f64, ev: f64, place: f64, bias: f64| Beat {
         at_s: Some(at_s),
         resolution_s: 1.0,

@@ -184,7 +184,7 @@ fn jpeg_of_several_sequential_scans_that_was_cut_is_an_error() {
 }
 
 #[test]
-fn a_cut_jpeg_is_an_error_wherever_it_is_cut() {
+fn truncated_jpeg_is_an_error_at_any_length() {
     for whole in [jpeg(&scene(160, 120), 160), PROGRESSIVE.to_vec()] {
         assert!(read(&whole).is_ok());
         let cuts = [0.02, 0.3, 0.5, 0.8, 0.95, 0.97, 0.99].map(|part| (whole.len() as f64 * part) as usize);
@@ -210,7 +210,7 @@ fn a_cut_jpeg_that_was_closed_again_is_an_error() {
 }
 
 #[test]
-fn what_follows_or_pads_a_whole_jpeg_does_no_harm() {
+fn data_after_a_jpeg_and_padding_are_ignored() {
     let whole = jpeg(&scene(64, 48), 64);
     let plain = eight(read(&whole));
     let second = jpeg(&scene(16, 16), 16);

@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_of_which_nearly_all_clips_is_found_by_what_does_not() {
+    fn nearly_clipped_frame_is_aligned_by_its_unclipped_part() {
         // A sky that is brighter at its left, and a hill below its horizon, which rises to the right.
         let view = |column: usize, row: usize, brighter: f64| {
             View::of(300, 200, |y, x| {

@@ -74,7 +74,7 @@ fn steps_of_rendered_pairs_are_right_to_a_twentieth_whatever_they_are() {
 }
 
 #[test]
-fn steps_of_a_camera_are_within_the_uncertainty_that_is_reported() {
+fn camera_steps_are_within_the_reported_uncertainty() {
     for curve in [(1.0, 1.2), (4.0, 1.45), (8.0, 1.5), (8.0, 1.7), (32.0, 1.65)] {
         let estimate = estimate(&[seen(-2.0, curve, 0), seen(-0.3, curve, 5)]).unwrap();
         let (ev, deviation) = (estimate.evs[1], estimate.deviation(0, 1));
@@ -83,7 +83,7 @@ fn steps_of_a_camera_are_within_the_uncertainty_that_is_reported() {
 }
 
 #[test]
-fn steps_of_contrasty_renderings_are_within_the_uncertainty_that_is_reported() {
+fn contrasty_steps_are_within_the_reported_uncertainty() {
     for contrast in [0.2, 0.5, 0.8] {
         let curve = |light: f64| {
             let code = linear_to_srgb(light);
@@ -100,7 +100,7 @@ fn steps_of_contrasty_renderings_are_within_the_uncertainty_that_is_reported() {
 }
 
 #[test]
-fn a_step_is_that_of_what_both_frames_show() {
+fn exposure_step_is_measured_in_the_overlap() {
     // A window at the left, a sixth of the frame, which the other frame does not show.
     let window = |x: usize, y: usize| if x < 26 { 1.0 + 2.0 * (y as f64 / 9.0).sin() } else { five_decades(x, y) };
     let frames = [taken(window, -1.5, 0, linear_to_srgb), taken(|x, y| window(x + 26, y), 0.0, 0, linear_to_srgb)];
@@ -111,7 +111,7 @@ fn a_step_is_that_of_what_both_frames_show() {
 }
 
 #[test]
-fn few_pixels_tell_a_step_less_surely_than_many() {
+fn step_from_few_pixels_is_less_certain() {
     let few = |x: usize, y: usize| if x < 80 && y < 12 { five_decades(2 * x, 10 * y) } else { -20.0 };
     let deviation = |scene: &dyn Fn(usize, usize) -> f64| {
         let frames = [-1.5, 0.2].map(|ev| taken(scene, ev, 0, linear_to_srgb));
@@ -139,7 +139,7 @@ fn order_does_not_matter() {
 }
 
 #[test]
-fn equal_pictures_are_alike_and_contradict_nothing() {
+fn equal_pictures_do_not_contradict_exposures() {
     let frames = [picture(0.0, 0), picture(0.0, 9), picture(0.1, 4)];
     assert!(all_alike(&estimate(&frames).unwrap().evs));
     assert_eq!(contradiction(&[-3.0; 3], &frames), None);
@@ -191,7 +191,7 @@ fn the_few_are_at_odds_with_the_many() {
 
 /// Between its two codes anything may be: a step has nothing to hold on to.
 #[test]
-fn two_tones_tell_no_step() {
+fn two_tones_do_not_determine_a_step() {
     let tones = |dark: u8, bright: u8| {
         let codes = (0..3 * 64 * 64).map(|i| if i / 24 % 2 == 0 { dark } else { bright }).collect();
         Brightness::of(&Samples::Eight(codes), 64)
@@ -201,7 +201,7 @@ fn two_tones_tell_no_step() {
 }
 
 #[test]
-fn sixteen_bits_give_what_eight_give() {
+fn sixteen_bits_give_the_result_of_eight() {
     let eight: Vec<u8> = (0..3 * 64 * 64u32).map(|i| (i * 7 % 251) as u8).collect();
     let sixteen = eight.iter().map(|&c| u16::from(c) * 257).collect();
     let (a, b) = (Brightness::of(&Samples::Eight(eight), 64), Brightness::of(&Samples::Sixteen(sixteen), 64));
