@@ -286,7 +286,7 @@ mod tests {
         let truth = rigid(9.0, -6.0, 1.7);
         let [reference, frame] = pair(&truth);
         let curves = xor_curves(&reference, &frame, Some(truth), &AlignOptions::default());
-        // The radius is 150 px: bitmaps compared to the nearest pixel tell angles that move the rim by half a pixel or
+        // The radius is 150 px: bitmaps compared to the nearest pixel distinguish angles that move the rim by half a pixel or
         // more, 0.2 deg.
         assert!((curves.by_angle.lowest() - 1.7).abs() <= 0.2, "{}", curves.by_angle.lowest());
         assert!((curves.by_dx.lowest() - 9.0).abs() <= 1.0 && (curves.by_dy.lowest() + 6.0).abs() <= 1.0);

@@ -146,7 +146,7 @@ mod tests {
         (map.pixels.into_vec(), merged)
     }
 
-    /// What frames 0 and 4 take part in.
+    /// The alignment in which frames 0 and 4 have this status.
     fn with(alignment: &Alignment, status: Status) -> Alignment {
         let mut alignment = alignment.clone();
         for i in [0, 4] {
@@ -187,7 +187,7 @@ mod tests {
 
     #[test]
     fn displaced_frame_does_not_reduce_known_confidence() {
-        // A lamp, and a frame in which it lies ten pixels to the right.
+        // A lamp, and a frame in which it is ten pixels to the right.
         let lamp = |at: usize, x: usize| if x.abs_diff(at) <= 20 { [200.0; 3] } else { [0.02; 3] };
         let (bracket, mut alignment) = bracket(|x, _| lamp(150, x));
         let (without, _) = merged(&bracket, &with(&alignment, Status::Rejected));
@@ -201,7 +201,7 @@ mod tests {
             } else if x.abs_diff(150) <= 6 {
                 assert!(new > 10.0 * old, "{x}: {new} {old}");
             } else {
-                // Six codes below the top: what the clipped frames leave possible.
+                // Six codes below the top: within the bound of the clipped frames.
                 assert!(new > 0.9 * old, "{x}: {new} {old}");
             }
         }

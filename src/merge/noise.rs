@@ -115,7 +115,7 @@ fn measure<T: Copy + Into<f64>>(codes: &[T], width: usize, scale: f64, least: f6
     seen.map(|seen| filled(seen, least * least))
 }
 
-/// The mean of a block and what it shows of noise; none where a code of it is clipped.
+/// Returns the mean of a block and its estimate of the noise; `None` if a code of it is clipped.
 fn block(at: impl Fn(usize, usize) -> f64) -> Option<(f64, f64)> {
     let (mut sum, mut squares) = (0.0, 0.0);
     for y in 0..BLOCK {
@@ -137,8 +137,8 @@ fn block(at: impl Fn(usize, usize) -> f64) -> Option<(f64, f64)> {
     Some((sum / (BLOCK * BLOCK) as f64, squares / differences / 4.0))
 }
 
-/// The lower quartile of each step, at least `least`; steps with too few blocks have what lies between their
-/// neighbours.
+/// Returns the lower quartile of each step, at least `least`; steps with too few blocks are interpolated between
+/// their neighbours.
 fn filled(seen: [Vec<f64>; STEPS], least: f64) -> [f64; STEPS] {
     let seen = seen.into_iter().enumerate().filter(|(_, values)| values.len() >= FEWEST);
     let quartile = |values: Vec<f64>| {
@@ -163,7 +163,7 @@ mod tests {
     use super::*;
     use crate::bracket::exposure::Exposure;
 
-    /// A number in -0.5..0.5 that depends on the seed alone.
+    /// Returns a number in -0.5..0.5 that depends only on the seed.
     fn random(seed: u64) -> f64 {
         let x = (seed + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
         let x = (x ^ (x >> 31)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -175,7 +175,7 @@ mod tests {
         let (width, height) = (512, 256);
         let codes = (0..width * height * 3).map(|i| {
             let code = 20.0 + 210.0 * (i / 3 % width) as f64 / width as f64;
-            // Twelve draws make a normal one of variance 1.
+            // Twelve uniform numbers give a normal one of variance 1.
             let normal: f64 = (0..12).map(|k| random(12 * i as u64 + k)).sum();
             (code + sigma(code) * normal + 0.5) as u8
         });
@@ -188,11 +188,11 @@ mod tests {
         let sigma = |code: f64| 1.5 + code / 50.0;
         let noise = Noise::of(&frame(sigma), false).unwrap();
         for code in [40, 100, 160, 220] {
-            // The lower quartile of 49 dependent squares lies some 15 % under their mean; rounding adds 1/12.
+            // The lower quartile of 49 dependent squares is about 15 % below their mean; rounding adds 1/12.
             let (found, truth) = (noise.deviation(1, f64::from(code)), sigma(f64::from(code)));
             assert!((0.8..1.05).contains(&(found / truth)), "{code}: {found} for {truth}");
         }
-        // Codes that the frame lacks have what the nearest have.
+        // Codes that the frame does not have get the values of the nearest.
         assert_eq!(noise.code_variance(0, 0.0), noise.steps[0][1]);
     }
 

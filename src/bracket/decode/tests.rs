@@ -10,7 +10,7 @@ pub(super) fn at_most(max_pixels: u64) -> Limits {
     Limits { max_pixels, memory: None }
 }
 
-/// What is decoded of `bytes`. What the header says of them is checked beside it: the same size and depth, and no damage where there is none.
+/// Decodes `bytes`, and checks that the header gives the same size and depth, and no damage where there is none.
 pub(in crate::bracket) fn read(bytes: &[u8]) -> Result<Decoded> {
     let decoded = decode(Path::new("picture"), bytes.to_vec(), &at_most(LIMIT));
     let head = head(Path::new("picture"), Cursor::new(bytes), &[Tag::Orientation], &at_most(LIMIT));

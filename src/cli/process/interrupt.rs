@@ -16,7 +16,7 @@ static STOP: AtomicBool = AtomicBool::new(false);
 static ASKED: AtomicUsize = AtomicUsize::new(0);
 static IS_ENDING: AtomicBool = AtomicBool::new(false);
 
-/// Whether a file outgrew its limit; nobody asks, for the write says so itself.
+/// Whether a file exceeded its size limit; not used, because the write reports the error itself.
 #[cfg(unix)]
 static OUTGREW: AtomicBool = AtomicBool::new(false);
 

@@ -1,14 +1,14 @@
-//! Holes: where the reference clips, and the frames that could show more show something that moved.
+//! Holes: places where the reference is clipped, and the shorter frames show motion.
 //!
-//! In: for each cell what the reference and the shorter frames show, and how far these take part. Out: [`Holes`]:
-//! radiance that continues what is around, and how far it counts. Cost: some 100 ns a cell where there are holes, and
-//! 20 ns a pixel in them. Source: pull and push of Gortler et al. 1996, "The Lumigraph", section 3.4.2.
+//! In: for each cell the radiance of the reference and of the shorter frames, and their weights. Out: [`Holes`]:
+//! radiance that continues the surroundings, and its weight. Cost: about 100 ns per cell if there are holes, and 20
+//! ns per pixel in them. Source: pull and push of Gortler et al. 1996, "The Lumigraph", section 3.4.2.
 //!
-//! A reference that clips says only that there is so much light at least. Where the shorter frames show a mover before
-//! a bright sky, nothing that is left says more, and the mean would be a grey patch in the mover's shape. What the
-//! reference clips about it, connected with it, is about as bright: the logarithm of that is continued into the hole,
-//! by the finest cells that know something, and with its colour, which white has lost. It takes away no light, and is
-//! only where the reference clips.
+//! A clipped reference only gives a lower bound of the radiance. If the shorter frames show a moving object in front
+//! of a bright sky, no frame shows the sky, and the mean would be a grey patch in the shape of the object. The
+//! connected clipped surroundings are about as bright: the logarithm of their radiance is continued into the hole,
+//! from the finest cells that are known, with its colour, which white has lost. The continuation never removes light,
+//! and is used only where the reference is clipped.
 
 use super::cells::Cell;
 use super::region;
@@ -18,49 +18,49 @@ use crate::plane::Plane;
 use crate::pyramid::cells::row_between_cells;
 use crate::response::ResponseCurve;
 
-/// What is continued into the holes.
+/// The continuation into the holes.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Holes {
-    /// Radiance, by cells, for each channel.
+    /// Radiance by cells, for each channel.
     radiance: [Plane<f32>; 3],
-    /// How far it counts, times 255.
+    /// Its weight, times 255.
     counts: Plane<u8>,
-    /// Radiance from which on the reference may clip, and from which on it does, for each channel.
+    /// For each channel, the radiance from which on the reference may be clipped, and from which on it is.
     clips: [(f32, f32); 3],
 }
 
-/// What the frames know that are shorter than the reference.
+/// What the frames shorter than the reference show.
 #[derive(Debug, Clone, Copy, Default)]
 struct Known {
-    /// What the first frame shows that takes part wholly and does not clip, or else the shortest that takes part
-    /// wholly: that is a lower bound.
+    /// Radiance of the first frame with full weight that is not clipped; otherwise of the shortest with full weight,
+    /// which is a lower bound.
     radiance: [f32; 3],
-    /// Whether it is no bound.
+    /// Whether the radiance is exact and not a bound.
     is_sure: bool,
-    /// The shortest frame that takes part wholly and clips, by how many are shorter than the reference up to it.
+    /// The shortest frame with full weight that is clipped, by the number of frames from the reference to it.
     clipping: u8,
-    /// Whether a frame that does not clip is left out more or less, and the most that such a frame is kept, times 255.
+    /// Whether an unclipped frame has a reduced weight, and the largest such weight, times 255.
     is_missed: bool,
     kept: u8,
-    /// Whether some frame is left out more or less.
+    /// Whether any frame has a reduced weight.
     is_touched: bool,
 }
 
-/// What the frames that are shorter than the reference know of what it clips.
+/// What the frames shorter than the reference show of its clipped parts.
 pub(super) struct Shorter {
     known: Plane<Known>,
     frames: u8,
 }
 
 impl Shorter {
-    /// Of none of them yet.
+    /// Creates it without frames.
     pub fn than(reference: &Plane<Cell>) -> Self {
         let of = |cell: &Cell| Known { radiance: cell.radiance, is_sure: !cell.clips(), ..Known::default() };
         let cells = reference.as_slice().iter().map(of).collect();
         Shorter { known: Plane::from_vec(reference.width(), reference.height(), cells), frames: 0 }
     }
 
-    /// Of one more, the next shorter, which takes part as `kept` says.
+    /// Adds the next shorter frame, with the weights `kept`.
     pub fn add(&mut self, frame: &Plane<Cell>, kept: &Plane<u8>) {
         self.frames = self.frames.saturating_add(1);
         let number = self.frames;
@@ -82,7 +82,7 @@ impl Shorter {
         });
     }
 
-    /// The holes in what `reference` clips; none where none can be filled.
+    /// Returns the holes in the clipped parts of `reference`, or `None` if none can be filled.
     pub fn holes(&self, reference: &Plane<Cell>, curve: &ResponseCurve) -> Option<Holes> {
         let known = &self.known;
         let (width, height) = (known.width(), known.height());
@@ -96,14 +96,14 @@ impl Shorter {
         });
         let parts = region::parts(&clipped);
         let mut holes: Option<Holes> = None;
-        // Only what clips in the same frame is an example of what a hole hides.
+        // Only parts that are clipped in the same frame are examples for a hole.
         for clipping in 0..=self.frames {
             let mut counts = Plane::filled(width, height, 0u8);
             let mut weights = Plane::filled(width, height, 0.0f32);
             for part in &parts {
                 let is_of = |&&(x, y): &&(usize, usize)| is_hole((x, y)) && known.at(x, y).clipping == clipping;
                 let is_example = |&&(x, y): &&(usize, usize)| is_source((x, y)) && known.at(x, y).clipping >= clipping;
-                // What is bright elsewhere says nothing of a part.
+                // Bright parts elsewhere are not examples for this part.
                 if part.iter().any(|at| is_of(&at)) && part.iter().any(|at| is_example(&at)) {
                     part.iter().filter(is_example).for_each(|&(x, y)| weights.row_mut(y)[x] = 1.0);
                     part.iter().filter(is_of).for_each(|&(x, y)| counts.row_mut(y)[x] = u8::MAX - known.at(x, y).kept);
@@ -122,7 +122,7 @@ impl Shorter {
         holes.map(|holes| Holes { clips, ..holes })
     }
 
-    /// The radiance of channel `c`, continued from where `weights` are.
+    /// Returns the radiance of channel `c`, continued from the cells with `weights`.
     fn continued(&self, c: usize, weights: &Plane<f32>) -> Plane<f32> {
         let stops = Plane::from_rows(weights.width(), weights.height(), |y, row: &mut [f32]| {
             for ((v, known), weight) in row.iter_mut().zip(self.known.row(y)).zip(weights.row(y)) {
@@ -136,7 +136,7 @@ impl Shorter {
 }
 
 impl Holes {
-    /// These and `more`, which are other cells.
+    /// Combines these with `more`, which are in other cells.
     fn with(mut self, more: Holes) -> Holes {
         for (plane, more_of) in self.radiance.iter_mut().zip(&more.radiance) {
             let cells = plane.as_mut_slice().iter_mut().zip(more_of.as_slice()).zip(more.counts.as_slice());
@@ -147,13 +147,13 @@ impl Holes {
         self
     }
 
-    /// The share of cells in which more than half is continued.
+    /// Returns the fraction of cells with a weight of more than half.
     pub fn fraction(&self) -> f64 {
         let counts = self.counts.as_slice();
         counts.iter().filter(|&&count| count > u8::MAX / 2).count() as f64 / counts.len().max(1) as f64
     }
 
-    /// Fills row `y` of the region, of which cells are `side` pixels long.
+    /// Fills row `y` of the region, with cells of `side` pixels.
     pub fn fill(&self, side: usize, y: usize, pixels: &mut [[f32; 3]]) {
         let length = pixels.len();
         let counts = row(&self.counts, side, |v| f32::from(v) / 255.0, y, length);
@@ -168,10 +168,10 @@ impl Holes {
                 ((pixel[c] - begins) / (sure - begins)).clamp(0.0, 1.0)
             });
             let white = clipped.into_iter().fold(1.0, f32::min);
-            // A channel that does not clip says how bright it is here.
+            // A channel that is not clipped limits the brightness here.
             let shown = |c: usize| 1.0 - (1.0 - clipped[c]) * (1.0 - pixel[c] / more[c].max(FLOOR)).max(0.0);
             let shown = shown(0).min(shown(1)).min(shown(2));
-            // What is white in all channels has lost its colour, and has at least so much light.
+            // White in all channels has lost its colour, but is a lower bound of the light.
             let most = |of: [f32; 3]| of.into_iter().fold(FLOOR, f32::max);
             let scale = (most(*pixel) / most(more)).max(1.0);
             for c in 0..3 {
@@ -183,15 +183,15 @@ impl Holes {
     }
 }
 
-/// Row `y` of `length` pixels between cells of `side` pixels.
+/// Interpolates row `y` of `length` pixels between cells of `side` pixels.
 fn row<T: Copy>(cells: &Plane<T>, side: usize, value: impl Fn(T) -> f32, y: usize, length: usize) -> Vec<f32> {
     let mut row = vec![0.0f32; length];
     row_between_cells(cells, side, value, y, &mut row);
     row
 }
 
-/// `values` as far as `weights` (0..=1) know them; elsewhere the mean of what is known around, of as few cells as know
-/// something. 0 where nothing is known at all.
+/// Returns `values` where `weights` (0..=1) are 1; elsewhere the mean of the known surroundings, from as few cells as
+/// possible. 0 if nothing is known.
 fn continued(values: &Plane<f32>, weights: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (values.width(), values.height());
     if width * height <= 1 {

@@ -1,23 +1,23 @@
-//! Regions: from evidence cell by cell to what is left out.
+//! Regions: from the evidence of single cells to the removed parts of a frame.
 //!
-//! In: for each cell whether it differs, or moved. Out: yes or no for each cell; a factor that rises around it. Cost:
-//! some 10 ns a cell.
+//! In: for each cell whether it differs, or moved. Out: yes or no for each cell; a weight that rises around it. Cost:
+//! about 10 ns per cell.
 //!
-//! Of what differs the connected parts that moved are left out, wholly: a mover's middle may look like what it hides,
-//! and a tenth of a long exposure's weight may still be ten times the reference's.
+//! Connected parts that differ and moved are removed completely: the middle of a moving object may look like its
+//! background, and a tenth of a long exposure's weight may still be ten times that of the reference.
 
 use crate::plane::Plane;
 use crate::pyramid::cells::{gathered, near};
 
-/// The connected parts of `plane`, from top to bottom: the columns and rows of each.
+/// Returns the connected parts of `plane`, from top to bottom: the columns and rows of each.
 pub fn parts(plane: &Plane<bool>) -> Vec<Vec<(usize, usize)>> {
     let mut left = plane.clone();
     let all = (0..plane.height()).flat_map(|y| (0..plane.width()).map(move |x| (x, y)));
     all.map(|at| taken(&mut left, at)).filter(|part| !part.is_empty()).collect()
 }
 
-/// Takes the connected part that `at` is in out of `left`; it is empty where there is none. Cells are connected by
-/// sides and corners.
+/// Removes the connected part that contains `at` from `left` and returns it; it is empty if there is none. Cells are
+/// connected by sides and corners.
 fn taken(left: &mut Plane<bool>, at: (usize, usize)) -> Vec<(usize, usize)> {
     let (width, height) = (left.width(), left.height());
     let mut part = Vec::new();
@@ -38,18 +38,18 @@ fn taken(left: &mut Plane<bool>, at: (usize, usize)) -> Vec<(usize, usize)> {
     part
 }
 
-/// Whether a cell of `plane` that is true has one beside, above or below it that is not, or that is not there.
+/// Whether a true cell of `plane` has a neighbour on a side that is false or outside.
 pub fn is_border(plane: &Plane<bool>, (x, y): (usize, usize)) -> bool {
     let is_inside = x > 0 && y > 0 && x + 1 < plane.width() && y + 1 < plane.height();
     !(is_inside && plane.at(x - 1, y) && plane.at(x + 1, y) && plane.at(x, y - 1) && plane.at(x, y + 1))
 }
 
-/// What is true, and what is within `reach` cells of it to either side, above and below.
+/// Returns the true cells and those within `reach` cells of one, horizontally and vertically.
 pub fn grown_by(plane: &Plane<bool>, reach: usize) -> Plane<bool> {
     gathered(plane, reach, |is, near| *is |= near)
 }
 
-/// With the gaps closed that are less than 2 `reach` cells wide.
+/// Closes gaps that are less than 2 `reach` cells wide.
 pub fn closed(plane: &Plane<bool>, reach: usize) -> Plane<bool> {
     let not = |mut plane: Plane<bool>| {
         plane.as_mut_slice().iter_mut().for_each(|is| *is = !*is);
@@ -58,11 +58,11 @@ pub fn closed(plane: &Plane<bool>, reach: usize) -> Plane<bool> {
     not(grown_by(&not(grown_by(plane, reach)), reach))
 }
 
-/// How far a frame takes part, times 255: not at all within `reach` cells of what is true, and more and more over the
-/// next `2 fade`.
+/// Returns the weight of a frame, times 255: 0 within `reach` cells of true ones, rising over the next `2 fade`
+/// cells.
 pub fn kept(plane: &Plane<bool>, reach: usize, fade: usize) -> Plane<u8> {
     let (width, height) = (plane.width(), plane.height());
-    // The mean reaches `fade` cells to both sides of the border: what is within `reach` stays out.
+    // The mean extends `fade` cells to both sides of the border, so the weight is 0 within `reach`.
     let wide = grown_by(plane, reach + fade);
     let free = Plane::from_vec(width, height, wide.as_slice().iter().map(|&is| usize::from(!is)).collect());
     let free = gathered(&free, fade, |sum, number| *sum += number);
@@ -100,7 +100,7 @@ mod tests {
         assert_eq!(closed(&with_gap, 1), plane(&["########"; 9]));
         let alone = plane(&[".......", ".......", "...#...", ".......", "......."]);
         assert_eq!(closed(&alone, 1), alone);
-        // What moved at the border goes on beyond it.
+        // Motion at the border continues beyond it.
         assert_eq!(closed(&plane(&[".#.....", ".......", "......."]), 1), plane(&["##.....", ".......", "......."]));
     }
 

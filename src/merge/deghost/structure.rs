@@ -1,49 +1,53 @@
-//! Structure: where a frame shows edges that the standard has not, or lacks some that it has.
+//! Structure: edges of a frame that the standard does not have, or the other way round.
 //!
-//! In: for each cell the standard's log radiance, and how far the frame's departs from it. Out: for each cell how
-//! surely something moved, in standard deviations. Cost: some 40 ns a cell, and 0.5 us for each that is asked for.
+//! In: for each cell the standard's log radiance, and the frame's difference from it. Out: for each cell the
+//! significance of motion, in standard deviations. Cost: about 40 ns per cell, and 0.5 us for each cell that is
+//! queried.
 //!
-//! A difference alone does not tell motion from what a curve for all pixels cannot describe: vignetting that changes
-//! with the f-number, veiling glare, saturated colours, a phone's own tone mapping. Those are smooth, or they change at
-//! an edge that both frames show. What moved has an edge that only one of them shows. So from one cell to the next the
-//! change of the log ratio is compared with what noise allows and with the lesser of the two frames' own changes there.
+//! A difference alone does not distinguish motion from what a common response cannot describe: vignetting that
+//! changes with the f-number, veiling glare, saturated colours, local tone mapping. Those are smooth, or change at an
+//! edge that both frames show. A moving object has edges that only one frame shows. Therefore the change of the log
+//! ratio between neighbouring cells is compared with the noise and with the smaller of the two frames' own changes
+//! there.
 
 use crate::plane::Plane;
 
 /// Smallest change of the log ratio from one cell to the next that counts as a change, in octaves: half of the share of
 /// the radiance by which frames may differ anyway.
 const LEAST: f32 = 0.04;
-/// By which share of the change that both frames show theirs may differ: response, sharpness and colour processing.
+/// Fraction of a common change by which the changes of the two frames may differ: response, sharpness and colour
+/// processing.
 const COMMON: f32 = 0.35;
-/// Halvings at which cells are compared, the cells themselves included.
+/// Number of halvings at which cells are compared, including the cells themselves.
 const SCALES: usize = 4;
-/// Those of them at which the border of what differs is followed: the cells of the largest are as large as many movers.
+/// Number of them at which the border of a difference is followed: the cells of the largest are as large as many
+/// moving objects.
 const SMALLER: usize = 3;
-/// The share of the variance that is left in the mean of four cells: between the quarter of independent ones and all of
-/// like ones.
+/// Fraction of the variance that remains in the mean of four cells: between a quarter for independent cells and all
+/// for equal ones.
 const LEFT: f32 = 0.5;
 
-/// What is compared of a cell, for each channel.
+/// The compared values of a cell, for each channel.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Ratio {
     /// log2 of the standard's radiance.
     pub standard: [f32; 3],
-    /// log2 of frame over standard; 0 where the one lies within what the other says.
+    /// log2 of frame over standard; 0 if one is within the bound of the other.
     pub ratio: [f32; 3],
-    /// The ratio's variance.
+    /// Variance of the ratio.
     pub variance: [f32; 3],
 }
 
-/// A variance that stands for nothing known.
+/// Variance of an unknown value.
 const UNKNOWN: f32 = 1e6;
 
 impl Ratio {
-    /// Of a cell that a frame does not cover.
+    /// Returns the ratio of a cell that a frame does not cover.
     pub fn unknown() -> Self {
         Ratio { variance: [UNKNOWN; 3], ..Ratio::default() }
     }
 
-    /// The mean of four.
+    /// Returns the mean of four cells.
     fn mean([a, b, c, d]: [&Ratio; 4]) -> Ratio {
         let of = |value: fn(&Ratio) -> &[f32; 3], share: f32| -> [f32; 3] {
             std::array::from_fn(|i| share * (value(a)[i] + value(b)[i] + value(c)[i] + value(d)[i]))
@@ -56,7 +60,7 @@ impl Ratio {
     }
 }
 
-/// The means of 2x2.
+/// Returns the means of 2x2 cells.
 fn halved(plane: &Plane<Ratio>) -> Plane<Ratio> {
     let (width, height) = (plane.width(), plane.height());
     Plane::from_rows(width.div_ceil(2), height.div_ceil(2), |y, row: &mut [Ratio]| {
@@ -68,14 +72,14 @@ fn halved(plane: &Plane<Ratio>) -> Plane<Ratio> {
     })
 }
 
-/// How surely the ratio changes between the middle two of four cells in a line by more than the frames themselves
-/// explain, in standard deviations.
+/// Returns the significance of the change of the ratio between the middle two of four cells in a line, beyond the
+/// frames' own changes, in standard deviations.
 fn change(line: [&Ratio; 4]) -> f32 {
     let mut most = 0.0f32;
     for c in 0..3 {
         let [_, here, next, _] = line;
         let moved = next.ratio[c] - here.ratio[c];
-        // An edge that lies a cell beside in the other frame is the same edge.
+        // An edge that is displaced by a cell in the other frame is the same edge.
         let greatest = |of: &dyn Fn(&Ratio) -> f32| {
             let at = line.map(of);
             (at[1] - at[0]).abs().max((at[2] - at[1]).abs()).max((at[3] - at[2]).abs())
@@ -89,8 +93,7 @@ fn change(line: [&Ratio; 4]) -> f32 {
     most.sqrt()
 }
 
-/// How surely something changes between the cell at column `x` and row `y` and one of its neighbours that does not in
-/// both frames.
+/// Returns the largest significance of a change between the cell at column `x` and row `y` and its neighbours.
 fn change_at(plane: &Plane<Ratio>, x: usize, y: usize) -> f32 {
     let (width, height) = (plane.width(), plane.height());
     let near = |i: usize, d: usize, size: usize| (i + d).saturating_sub(2).min(size - 1);
@@ -106,7 +109,7 @@ pub struct Scales {
 }
 
 impl Scales {
-    /// Of the cells' own.
+    /// Computes all scales from the ratios of the cells.
     pub fn of(ratios: Plane<Ratio>) -> Self {
         let mut planes = vec![ratios];
         while planes.len() < SCALES {
@@ -115,17 +118,18 @@ impl Scales {
         Scales { planes }
     }
 
-    /// How surely something changes at a cell, by its column and row, at each of the scales, in standard deviations.
+    /// Returns the significance of a change at a cell, by column and row, at each of the scales, in standard
+    /// deviations.
     fn changes(&self, (x, y): (usize, usize)) -> impl Iterator<Item = f32> + '_ {
         self.planes.iter().enumerate().map(move |(i, plane)| change_at(plane, x >> i, y >> i))
     }
 
-    /// Whether something surely changes at a cell, by `least` standard deviations, at one of the scales.
+    /// Whether the change at a cell has a significance of at least `least` standard deviations at one of the scales.
     pub fn is_changed(&self, at: (usize, usize), least: f32) -> bool {
         self.changes(at).any(|change| change >= least)
     }
 
-    /// The mean over some cells of how surely something changes at the smaller scales, in standard deviations.
+    /// Returns the mean significance over some cells at the smaller scales, in standard deviations.
     pub fn mean(&self, cells: &[(usize, usize)]) -> f32 {
         let all: f32 = cells.iter().map(|&at| self.changes(at).take(SMALLER).sum::<f32>()).sum();
         all / (SMALLER * cells.len()).max(1) as f32
@@ -136,7 +140,8 @@ impl Scales {
 mod tests {
     use super::*;
 
-    /// Where of 32 x 32 cells something changed, by log2 of the standard's radiance and of the frame's over it.
+    /// Returns how many of 32 x 32 cells changed, from log2 of the standard's radiance and of the frame's relative to
+    /// it.
     fn found(standard: impl Fn(usize, usize) -> f32, ratio: impl Fn(usize, usize) -> f32) -> usize {
         let mut plane = Plane::filled(32, 32, Ratio::default());
         for y in 0..32 {
@@ -155,14 +160,13 @@ mod tests {
 
     #[test]
     fn edge_in_one_frame_is_a_change_and_edge_in_both_is_not() {
-        // Only the frame has it; only the standard has it.
+        // An edge only in the frame; an edge only in the standard.
         assert!(found(|_, _| 0.0, |x, _| half(x)) >= 64);
         assert!(found(|x, _| half(x), |x, _| -half(x)) >= 64);
-        // Both have it, and the frame's is a third as high again; none has it, and the frame is brighter towards one
-        // side by half.
+        // An edge in both, a third higher in the frame; no edge, with the frame brighter by half towards one side.
         assert_eq!(found(|x, _| half(x), |x, _| 0.33 * half(x)), 0);
         assert_eq!(found(|_, _| 0.0, |x, _| 0.6 * x as f32 / 32.0), 0);
-        // A cell beside it is the same edge.
+        // Displaced by a cell it is the same edge.
         assert_eq!(found(|x, _| half(x), |x, _| half(x + 1) - half(x)), 0);
     }
 
@@ -172,7 +176,7 @@ mod tests {
         (0..32).for_each(|y| plane.row_mut(y)[16..].iter_mut().for_each(|r| r.ratio = [0.1; 3]));
         let scales = Scales::of(plane);
         let column = |x: usize| (0..32).map(|y| (x, y)).collect::<Vec<_>>();
-        // 0.1 over the root of LEAST^2 and two variances is 2.36; of larger cells less varies.
+        // 0.1 over the root of LEAST^2 and two variances is 2.36; larger cells have smaller variances.
         assert!((2.36..2.5).contains(&scales.mean(&column(15))), "{}", scales.mean(&column(15)));
         assert_eq!((scales.mean(&column(2)), scales.mean(&[])), (0.0, 0.0));
     }

@@ -14,13 +14,13 @@ fn background(x: usize, y: usize) -> [f64; 3] {
     [e, 0.9 * e, 0.7 * e]
 }
 
-/// Whether a disc of 24 pixels about (x, y) covers a pixel.
+/// Whether a pixel is in a disc of 24 pixels around (x, y).
 fn disc(x: usize, y: usize, about: (usize, usize)) -> bool {
     let (dx, dy) = (x as f64 - about.0 as f64, y as f64 - about.1 as f64);
     dx * dx + dy * dy < 24.0 * 24.0
 }
 
-/// A bracket of three in which frame 0 (the shortest) shows `scenes[0]` and so on.
+/// A bracket of three frames; frame 0 (the shortest) shows `scenes[0]` and so on.
 fn bracket(scenes: [&dyn Fn(usize, usize) -> [f64; 3]; 3]) -> (Bracket, Alignment) {
     let times = [0.25, 1.0, 4.0];
     let frames = (0..3).map(|i| still(SIZE, &times, scenes[i]).0.frames()[i].clone()).collect();
@@ -53,7 +53,7 @@ fn deghosting_without_motion_changes_nothing() {
 #[test]
 fn a_mover_is_left_out_and_the_rest_is_untouched() {
     for frame in [0, 2] {
-        // Neither black in the shortest nor clipped in the longest: there is something to leave out.
+        // Neither black in the shortest frame nor clipped in the longest: it must be removed.
         let mover = |x, y| if disc(x, y, (100, 80)) { [0.12, 0.1, 0.14] } else { background(x, y) };
         let mut scenes: [&dyn Fn(usize, usize) -> [f64; 3]; 3] = [&background; 3];
         scenes[frame] = &mover;
@@ -68,20 +68,20 @@ fn a_mover_is_left_out_and_the_rest_is_untouched() {
             all.iter().sum::<f32>() / all.len() as f32
         };
         assert!(error(&found) < 0.1 * error(&plain), "frame {frame}: {} of {}", error(&found), error(&plain));
-        // Far from it all three frames take part as before.
+        // Far from it all three frames are used as before.
         assert_eq!(found.rows(150..180), plain.rows(150..180));
         let shares: Vec<f64> = ghosts.report().frames.iter().map(|f| f.ghost_fraction).collect();
         let (moved, other) = if frame == 0 { (shares[0], shares[1]) } else { (shares[1], shares[0]) };
-        // The disc is 4.2 % of the picture; of its tiles some are as bright as it is, and in a margin of up to 14
-        // pixels more is left out.
+        // The disc is 4.2 % of the picture; some of its tiles have the same brightness, and a margin of up to 14
+        // pixels is also removed.
         assert!((0.02..0.105).contains(&moved) && other == 0.0, "frame {frame}: {shares:?}");
     }
 }
 
 #[test]
 fn clipped_reference_is_replaced_as_standard_by_the_next_frame_that_agrees() {
-    // The reference clips at 1. One frame has a dark mover before the sky, the one before it none; and the other way
-    // round.
+    // The reference is clipped at 1. One frame has a dark object in front of the sky, and the other does not; and
+    // vice versa.
     let sky = |_: usize, _: usize| [2.5, 2.6, 2.8];
     let times = [0.0625, 0.25, 1.0, 4.0];
     for frame in [0, 1] {
@@ -96,7 +96,7 @@ fn clipped_reference_is_replaced_as_standard_by_the_next_frame_that_agrees() {
         let ghosts = seek(&bracket, &alignment);
         let (found, plain) = (merged(&bracket, &alignment, Some(&ghosts)), merged(&bracket, &alignment, None));
         let far = plain.at(5, 5)[1];
-        // The shortest has few codes for it: 1/16 of 2.6 is code 112, whose steps are 2 %.
+        // The shortest frame has few codes for it: 1/16 of 2.6 is code 112, with steps of 2 %.
         assert!((found.at(120, 90)[1] / far - 1.0).abs() < 0.03, "frame {frame}: {} for {far}", found.at(120, 90)[1]);
         assert!(plain.at(120, 90)[1] < 0.9 * far, "the mover is no test: {} for {far}", plain.at(120, 90)[1]);
     }
@@ -104,8 +104,8 @@ fn clipped_reference_is_replaced_as_standard_by_the_next_frame_that_agrees() {
 
 #[test]
 fn clipped_reference_is_continued_where_shorter_frames_show_motion() {
-    // A sky that doubles from left to right, and clips in the reference; the only shorter frame has a dark mover before
-    // it. Below is ground that no frame clips.
+    // A sky that doubles from left to right, and is clipped in the reference; the only shorter frame has a dark
+    // object in front of it. Below it is ground that no frame clips.
     let sky = |x: usize, y: usize| if y < 150 { [2.0 + 2.0 * x as f64 / SIZE.0 as f64; 3] } else { [0.2; 3] };
     let mover = |x: usize, y: usize| if disc(x, y, (120, 90)) { [0.2, 0.15, 0.15] } else { sky(x, y) };
     let times = [0.125, 1.0];
@@ -117,8 +117,8 @@ fn clipped_reference_is_continued_where_shorter_frames_show_motion() {
     let found = merged(&bracket, &alignment, Some(&ghosts));
     let scale = f64::from(found.at(20, 20)[1]) / sky(20, 20)[1];
     for (x, y) in [(120, 90), (110, 80), (135, 95), (98, 90), (142, 90)] {
-        // Steps of one in some 120 codes are 2 %; between means over at most 64 pixels the sky rises by a tenth to
-        // either side.
+        // Steps of one in about 120 codes are 2 %; between means over at most 64 pixels the sky changes by a tenth in
+        // both directions.
         let expected = scale * sky(x, y)[1];
         assert!(
             (f64::from(found.at(x, y)[1]) / expected - 1.0).abs() < 0.12,
@@ -127,9 +127,9 @@ fn clipped_reference_is_continued_where_shorter_frames_show_motion() {
         );
     }
     let fraction = ghosts.report().continued_fraction;
-    // The disc is 4.2 % of the picture, and a margin of up to 14 pixels around it is left out too.
+    // The disc is 4.2 % of the picture, and a margin of up to 14 pixels around it is also removed.
     assert!((0.04..0.1).contains(&fraction), "{fraction}");
-    // The ground is what all frames show, and a still bracket has nothing to continue.
+    // The ground is that of all frames, and a static bracket has nothing to continue.
     assert_eq!(found.row(170), merged(&bracket, &alignment, None).row(170));
     let (still, alignment) = self::bracket([&sky; 3]);
     assert_eq!(seek(&still, &alignment).report().continued_fraction, 0.0);
@@ -137,7 +137,7 @@ fn clipped_reference_is_continued_where_shorter_frames_show_motion() {
 
 #[test]
 fn continuation_has_the_surrounding_colour_without_seam() {
-    // A wall in the sun, white in the reference; in the shorter frame a shadow has come, with a soft edge.
+    // A sunny wall, white in the reference; in the shorter frame it has a shadow with a soft edge.
     let sun = [3.0, 2.4, 1.4];
     let shadow = |x: usize, y: usize| {
         let (dx, dy) = (x as f64 - 120.0, y as f64 - 90.0);
@@ -151,18 +151,18 @@ fn continuation_has_the_surrounding_colour_without_seam() {
     let lit = found.at(10, 90);
     let share = |x: usize| [0, 1, 2].map(|c| found.at(x, 90)[c] / lit[c]);
     for x in 60..180 {
-        // The shadow's outer edge, brighter than what the reference clips at (a third of the light in red), is no
-        // motion: half the light is left.
+        // The shadow's outer edge is brighter than the clipping level of the reference (a third of the light in red),
+        // so it is not motion: half the light remains.
         let [r, g, b] = share(x);
         assert!(r > 0.5 && (g / r - 1.0).abs() < 0.04 && (b / r - 1.0).abs() < 0.04, "{x}: {:?}", share(x));
-        // The shadow's edge rises by 0.04 a pixel.
+        // The edge of the shadow rises by 0.04 per pixel.
         assert!((r - share(x - 1)[0]).abs() < 0.1, "{x}: {r} after {}", share(x - 1)[0]);
     }
 }
 
 #[test]
 fn bright_object_beside_motion_keeps_its_shape() {
-    // Bars that the reference clips and the shorter frame shows, and a mover in that one just below.
+    // Bars that the reference clips and the shorter frame shows, with a moving object in that frame just below.
     let bars = |x: usize, y: usize| match (x / 8 % 2, y < 60) {
         (_, false) => [0.2, 0.25, 0.3],
         (0, true) => [3.0; 3],
@@ -181,8 +181,8 @@ fn bright_object_beside_motion_keeps_its_shape() {
 
 #[test]
 fn a_wall_that_is_black_in_a_short_frame_is_not_merged_with_who_stands_before_it() {
-    // In the reference somebody dark stands before a wall that both others show; in the shortest it has code 4, and
-    // might be as dark.
+    // In the reference a dark person stands in front of a wall that both others show; in the shortest the wall has
+    // code 4, and might be as dark as the person.
     let wall = |_: usize, _: usize| [0.03; 3];
     let before = |x: usize, y: usize| if disc(x, y, (100, 80)) { [0.004; 3] } else { wall(x, y) };
     let times = [0.0625, 1.0, 4.0];
@@ -193,16 +193,16 @@ fn a_wall_that_is_black_in_a_short_frame_is_not_merged_with_who_stands_before_it
     let ghosts = seek(&bracket, &alignment);
     let at = |ghosts: Option<&Ghosts>| merged(&bracket, &alignment, ghosts).at(100, 80)[1];
     let shown = |ghosts| at(ghosts) / merged(&bracket, &alignment, None).at(200, 150)[1];
-    // Codes 13 and 56 of sRGB: 0.004 of 0.03, off by a half of the darker one's code.
+    // Codes 13 and 56 of sRGB: 0.004 of 0.03, with an error of half a code of the darker one.
     assert!((shown(Some(&ghosts)) / (0.004 / 0.03) - 1.0).abs() < 0.06, "{}", shown(Some(&ghosts)));
-    // It stays where nothing moved.
+    // It is unchanged where nothing moved.
     assert_eq!(ghosts.kept(0, 150..151).get(200).copied().unwrap_or(1.0), 1.0);
     assert!(ghosts.kept(0, 80..81)[100] == 0.0);
 }
 
 #[test]
 fn mixed_channels_are_not_motion() {
-    // A disc in which blue is two thirds brighter in the long frame: of red that is a twenty-fifth.
+    // A disc in which blue is two thirds brighter in the long frame: a twenty-fifth of red.
     let found = |red: f64| {
         let scene =
             move |more: f64| move |x, y| if disc(x, y, (100, 80)) { [red, 0.1, 0.03 + more] } else { [red, 0.1, 0.03] };
@@ -216,7 +216,7 @@ fn mixed_channels_are_not_motion() {
 
 #[test]
 fn a_faint_large_mover_is_found() {
-    // A disc that is 35 % brighter than what it hides.
+    // A disc that is 35 % brighter than its background.
     let smooth = |x: usize, y: usize| [0.1 + 0.0004 * x as f64, 0.1 + 0.0003 * y as f64, 0.12];
     let faint = |x: usize, y: usize| if disc(x, y, (100, 80)) { smooth(x, y).map(|e| 1.35 * e) } else { smooth(x, y) };
     let (moved, alignment) = bracket([&smooth, &smooth, &faint]);
@@ -234,14 +234,14 @@ fn a_mover_before_a_wall_whose_colour_misfits_does_not_take_the_wall_along() {
     };
     let (bracket, alignment) = bracket([&wall, &wall, &misfit]);
     let found = seek(&bracket, &alignment).report().ghost_fraction;
-    // The speck is a third of a percent, and up to 26 pixels square with its margin.
+    // The spot is a third of a percent, and up to 26 pixels square with its margin.
     assert!((0.002..0.025).contains(&found), "{found}");
 }
 
 #[test]
 fn clipping_in_a_locally_processed_frame_is_no_bound() {
-    // The reference clips the sky at 1; the shortest frame shows something darker there, as a phone makes of a window
-    // by its gain, or a mover.
+    // The reference clips the sky at 1; the shortest frame shows something darker there, such as a window after a
+    // phone's local gain, or a moving object.
     let sky = |_: usize, _: usize| [2.5, 2.6, 2.8];
     let darker = |x, y| if disc(x, y, (120, 90)) { [0.3, 0.2, 0.2] } else { sky(x, y) };
     let (bracket, alignment) = bracket([&darker, &sky, &sky]);
@@ -253,7 +253,7 @@ fn clipping_in_a_locally_processed_frame_is_no_bound() {
 
 #[test]
 fn a_frame_that_is_brighter_all_over_has_not_moved() {
-    // The exposure is a sixth of a stop off: 12 %, twice the least share that is allowed for.
+    // The exposure has an error of a sixth of a stop: 12 %, twice the smallest share that is accepted.
     let (mut frames, alignment) = bracket([&background; 3]);
     let brighter = |x, y| background(x, y).map(|e| 1.12 * e);
     let off = still(SIZE, &[0.25, 1.0, 4.0], brighter).0.frames()[2].clone();
@@ -309,10 +309,10 @@ fn cells_are_the_means_of_exposures() {
                 cells::average(&Layer { frame: &frame, warp, meaning, is_assumed: false }, region, side, 0).unwrap()
             };
             let cells = seen(Transform::Identity);
-            // By a shift of no pixels too, which goes another way.
+            // Also with a shift of no pixels, which uses other code.
             let still = Transform::Rigid { dx: 0.0, dy: 0.0, angle: 0.0 };
             assert_eq!(cells, seen(still));
-            // Of cells of up to 4x4 pixels all are looked at.
+            // All pixels of cells of up to 4x4 are read.
             for (j, i, c) in [(0, 0, 0), (1, 1, 2), (0, 1, 1)] {
                 let pixels = (0..side * side).map(|k| (2 + i * side + k % side, 1 + j * side + k / side));
                 let code = |(x, y): (usize, usize)| f32::from(codes[3 * (y * width + x) + c]);
@@ -320,7 +320,7 @@ fn cells_are_the_means_of_exposures() {
                 let clipped = pixels.clone().any(|p| code(p) > 248.0);
                 let mean = pixels.map(|p| 2.0 * curve.exposure(c, code(p))).sum::<f32>() / (side * side) as f32;
                 let cell = cells.at(i, j);
-                // Sixteen roundings of one part in 2^24; a code of 16 bit may fall 2^-16 short of one of 8.
+                // Sixteen roundings of one part in 2^24; a 16-bit code may be smaller than an 8-bit one by 2^-16.
                 assert!(black || (cell.radiance[c] / mean - 1.0).abs() < 1e-4, "{} for {mean}", cell.radiance[c]);
                 assert_eq!((cell.is_black(c), cell.is_clipped(c)), (black, clipped));
             }
@@ -340,13 +340,13 @@ fn factors_between_cells_are_bilinear() {
         holes: None,
     };
     let kept = ghosts.kept(0, 1..3);
-    // By hand: cell centres lie at pixels 0.5, 2.5, 4.5 and rows 0.5, 2.5. Row 1 is a quarter of the way down, pixel 2
-    // three quarters right.
+    // By hand: cell centres are at pixels 0.5, 2.5, 4.5 and rows 0.5, 2.5. Row 1 is a quarter of the way down, pixel
+    // 2 three quarters to the right.
     let (left, right) = (0.25 * 0.4, 0.75);
     assert!((kept[2] - (0.25 * left + 0.75 * right)).abs() < 1e-6, "{kept:?}");
     assert!((kept[0] - 0.1).abs() < 1e-6);
     assert_eq!((kept.len(), ghosts.kept(1, 0..4).len()), (10, 0));
-    // One other frame: the mask is what is left out of it.
+    // With one other frame the mask is the part of it that is removed.
     assert_eq!(ghosts.mask().at(0, 1), (255.0f32 * 0.9 + 0.5) as u8);
 }
 
@@ -358,7 +358,7 @@ fn of_large_cells_a_quarter_is_looked_at() {
     let layer =
         Layer { frame: &frame, warp: Transform::Identity, meaning: Meaning::of(&curve, 1.0), is_assumed: false };
     let cell = cells::average(&layer, Rect { x0: 0, y0: 0, x1: 8, y1: 8 }, 8, 0).unwrap().at(0, 0);
-    // Four blocks of four pixels, and one of these is clipped.
+    // Four blocks of four pixels, one of which is clipped.
     let mean = (15.0 * curve.exposure(0, 100.0) + curve.exposure(0, 255.0)) / 16.0;
     assert!((cell.radiance[0] / mean - 1.0).abs() < 1e-5 && cell.is_clipped(0), "{} for {mean}", cell.radiance[0]);
 }
@@ -374,7 +374,7 @@ fn white_balance_is_parsed_and_printed_as_typed() {
 
 #[test]
 fn flare_and_saturated_colours_are_not_motion() {
-    // The long frame is brighter by a third at its right border, as by flare, and its red is so at the edges of the
+    // The long frame is brighter by a third at its right border, as with flare, and its red also at the edges of the
     // tiles.
     let veiled = |x: usize, y: usize| {
         let [r, g, b] = background(x, y).map(|e| e * (1.0 + 0.33 * x as f64 / SIZE.0 as f64));

@@ -1,15 +1,14 @@
-//! What is usual between a frame and the standard: how their radiance differs where nothing moved.
+//! The usual difference between a frame and the standard where nothing moved.
 //!
 //! In: cells of the standard and of a frame. Out: for each channel and level of radiance the median of their ratio,
-//! which is the error of the response, and its spread, which is what noise and alignment leave. Cost: some 10 ns a
-//! cell.
+//! which is the error of the response, and its spread, due to noise and alignment. Cost: about 10 ns per cell.
 
 use super::cells::Cell;
 use crate::plane::{Plane, fold_bands};
 
-/// The greatest spread that is learnt from the bracket, so that a picture full of motion does not excuse it.
+/// Largest spread that is estimated from the bracket, so that much motion in a picture does not count as noise.
 const MOST: f32 = 0.25;
-/// The greatest factor that is divided out.
+/// Largest correction factor.
 const MOST_BIAS: f32 = 1.5;
 
 /// Levels of radiance, half a stop each.
@@ -20,31 +19,31 @@ const UNIT_LEVEL: f32 = 40.0;
 /// the same first five bits of the mantissa.
 const RATIOS: usize = 128;
 const RATIO_SHIFT: u32 = 18;
-/// Cells at a level for which what is learnt there counts half.
+/// Number of cells of a level at which its estimates have half of their full weight.
 const FEW: f32 = 400.0;
 
-/// About log2, exact at the powers of 2 and linear between: monotone, and the same on any machine.
+/// Approximates log2, exact at powers of 2 and linear between: monotone, and the same on any machine.
 #[inline]
 fn log2_linear(x: f32) -> f32 {
     x.to_bits() as f32 * (1.0 / (1 << 23) as f32) - 127.0
 }
 
-/// At which level of radiance two cells are compared: by their geometric mean.
+/// Returns the level of radiance of two cells: that of their geometric mean.
 #[inline]
 pub fn level(a: f32, b: f32) -> f32 {
     (log2_linear(a) + log2_linear(b) + UNIT_LEVEL).clamp(0.0, (LEVELS - 1) as f32)
 }
 
-/// What is learnt of a frame against the standard, by channel and level.
+/// Bias and spread of a frame relative to the standard, by channel and level.
 pub struct Usual {
-    /// The median ratio of frame to standard.
+    /// Median ratio of frame to standard.
     bias: [[f32; LEVELS]; 3],
-    /// The ratio's standard deviation, by its quartiles.
+    /// Standard deviation of the ratio, from its quartiles.
     spread: [[f32; LEVELS]; 3],
 }
 
 impl Usual {
-    /// Of `frame` against `standard`, over the whole picture.
+    /// Estimates them for `frame` relative to `standard`, over the whole picture.
     pub fn of(standard: &Plane<Cell>, frame: &Plane<Cell>) -> Self {
         let bin = |c: usize, level: usize, ratio: usize| (c * LEVELS + level) * RATIOS + ratio;
         let first = (1.0f32.to_bits() >> RATIO_SHIFT) - RATIOS as u32 / 2;
@@ -73,7 +72,7 @@ impl Usual {
         let mut usual = Usual { bias: [[1.0; LEVELS]; 3], spread: [[0.0; LEVELS]; 3] };
         for c in 0..3 {
             for level in 0..LEVELS {
-                // The neighbours at half weight.
+                // Neighbouring levels have half weight.
                 let at = |level: usize, r: usize| f64::from(counts[bin(c, level, r)]);
                 let smooth: Vec<f64> = (0..RATIOS)
                     .map(|r| {
@@ -97,17 +96,17 @@ impl Usual {
                 let (lower, median, upper) = (rank(0.25), rank(0.5), rank(0.75));
                 let known = all as f32 / (all as f32 + FEW);
                 usual.bias[c][level] = (1.0 + (median - 1.0) * known).clamp(1.0 / MOST_BIAS, MOST_BIAS);
-                // The quartiles of the normal distribution lie 1.35 standard deviations apart.
+                // The quartiles of the normal distribution are 1.35 standard deviations apart.
                 usual.spread[c][level] = ((upper - lower) / (1.35 * median)).min(MOST);
             }
         }
         usual
     }
 
-    /// Bias and spread, between levels.
+    /// Returns bias and spread, interpolated between levels.
     #[inline]
     pub fn at(&self, c: usize, level: f32) -> (f32, f32) {
-        // A level's bin holds what lies up to one above it.
+        // The bin of a level contains values up to one level above it.
         let level = (level - 0.5).max(0.0);
         let below = (level as usize).min(LEVELS - 2);
         let f = level - below as f32;
@@ -126,7 +125,7 @@ mod tests {
             assert_eq!(log2_linear(libm::exp2f(e as f32)), e as f32);
         }
         let x = |i: usize| libm::exp2f(i as f32 / 50.0 - 10.0);
-        // Between powers it is below by at most 0.0861.
+        // Between powers of 2 it is too small by at most 0.0861.
         assert!((1..1000).all(|i| log2_linear(x(i)) > log2_linear(x(i - 1))));
         assert!((0..1000).all(|i| (log2_linear(x(i)) - (i as f32 / 50.0 - 10.0)).abs() < 0.0862));
     }

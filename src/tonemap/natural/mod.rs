@@ -5,7 +5,7 @@
 //! bracket's longest exposure; they are at most two stops apart and free of moving objects. Radiance maps from other programs are handled the same way.
 //!
 //! 1. The scene, on a grid, is exposed: from the exposure that shows its highlights to the longest of the bracket. The longest exposure that the
-//!    photographer chose tells how bright the place is, so that night scenes stay dark.
+//!    photographer chose shows how bright the place is, so that night scenes stay dark.
 //! 2. The exposures are fused; black and white are set near the darkest and brightest values of the fused picture.
 //! 3. A contrast curve is applied. A power function darkens the picture where the longest exposure is dark, and brings radiance without photographs to
 //!    the brightness of a photograph.

@@ -61,7 +61,7 @@ fn jpeg_with_coarse_chroma_that_was_cut_is_an_error() {
     }
 }
 
-/// Work is that of the pool, and what needs more memory says so.
+/// Decoding runs in the current pool, and more memory than allowed is reported.
 #[test]
 fn jpeg_with_coarse_chroma_and_padding_is_counted_and_the_same_on_any_number_of_threads() {
     let bytes = subsampled(&scene(168, 120), (168, 120), (2, 2), false);
