@@ -103,7 +103,7 @@ fn plan(content: &[u8]) {
     let summary = Summary::collected(&jobs);
     assert!(serde_json::from_str::<serde_json::Value>(&summary.to_json()).is_ok());
     assert_eq!(summary.jobs.len(), jobs.len());
-    let _ = (summary.to_csv(), summary.verdict());
+    let _ = (summary.to_csv(), summary.outcome());
 }
 
 fn report(content: &[u8]) {

@@ -65,7 +65,7 @@ impl Brief {
 
 /// The state of a job after its pixels were computed.
 #[derive(Debug)]
-pub enum Begun<'a> {
+pub enum Started<'a> {
     /// It was done before, with the same inputs, options and version.
     Unchanged(Brief),
     /// Everything is written except the final names.
@@ -98,7 +98,7 @@ enum Prepared {
 /// Those of [`pipeline::run`]; [`Error::Changed`] if a photograph changed during the run; [`Error::OutputExists`],
 /// [`Error::OutputChanged`] and [`Error::OtherPhotographs`] for a result that neither this job nor an earlier form
 /// of it wrote; [`Error::FrameLost`].
-pub fn begin<'a>(job: &'a Job, options: &Options, force: bool, watch: Watch) -> Result<Begun<'a>> {
+pub fn begin<'a>(job: &'a Job, options: &Options, force: bool, watch: Watch) -> Result<Started<'a>> {
     let stamps: Vec<Stamp> = job.inputs.iter().map(|path| Stamp::of(path)).collect::<Result<_>>()?;
     let inputs: Vec<Content> = job.inputs.iter().map(|path| Content::of(path)).collect::<Result<_>>()?;
     let options = &acting(job, options);
@@ -108,7 +108,7 @@ pub fn begin<'a>(job: &'a Job, options: &Options, force: bool, watch: Watch) -> 
     let is_same = known.as_ref().is_some_and(|record| record.key == key && record.is_whole(&results));
     if let Some(brief) = Brief::read(&job.report).filter(|_| is_same && !force) {
         forget_failure(job);
-        return Ok(Begun::Unchanged(brief));
+        return Ok(Started::Unchanged(brief));
     }
     let existing: Vec<PathBuf> =
         results.iter().chain([&job.report]).filter(|path| fs::symlink_metadata(path).is_ok()).cloned().collect();
@@ -137,7 +137,7 @@ pub fn begin<'a>(job: &'a Job, options: &Options, force: bool, watch: Watch) -> 
     // The record must describe the photographs that were merged: they are read once for the record, and once for
     // their pixels.
     stamps.iter().try_for_each(Stamp::check)?;
-    Ok(Begun::Made(Box::new(Made { job, key, inputs, replaced, existing, prepared })))
+    Ok(Started::Made(Box::new(Made { job, key, inputs, replaced, existing, prepared })))
 }
 
 /// Checks that existing files may be replaced: this job wrote them before, from these photographs.
@@ -269,9 +269,9 @@ fn as_value(report: &impl Serialize) -> Value {
 /// # Errors
 /// Those of [`begin`] and [`Made::commit`]; they are also written to [`Job::failure`].
 pub fn run(job: &Job, options: &Options, force: bool, watch: Watch) -> Result<(Brief, bool)> {
-    let outcome = begin(job, options, force, watch).and_then(|begun| match begun {
-        Begun::Unchanged(brief) => Ok((brief, false)),
-        Begun::Made(made) => Ok((made.commit()?, true)),
+    let outcome = begin(job, options, force, watch).and_then(|started| match started {
+        Started::Unchanged(brief) => Ok((brief, false)),
+        Started::Made(made) => Ok((made.commit()?, true)),
     });
     if let Err(error) = &outcome {
         remember_failure(job, &error.to_string());

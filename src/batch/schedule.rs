@@ -7,7 +7,7 @@
 //! A separate thread waits for the disk and gives files their names, so that no core waits. A failed job stops only
 //! those that need it. Results do not depend on which jobs run at the same time.
 
-use super::job::{self, Begun, Brief, Made};
+use super::job::{self, Brief, Made, Started};
 use super::plan::Job;
 use crate::budget::Demand;
 use crate::error::Result;
@@ -44,7 +44,7 @@ pub enum Ending {
     /// It failed, with the reason.
     Failed(String),
     /// It was not started: the run was stopped before, or the disk of its results is full.
-    NotBegun,
+    NotStarted,
 }
 
 /// An event of a batch, reported from any thread.
@@ -104,11 +104,11 @@ fn work<'a>(board: &Board<'a>, options: &Options, force: bool, to_namer: &SyncSe
         }
         let begin = || guarded(|| job::begin(&board.jobs[i], &own, force, &pipeline::unwatched), || board.fill(i));
         // If a pool cannot be created, the job reports the error.
-        let begun = pool.as_ref().map_or_else(begin, |pool| pool.install(begin));
+        let started = pool.as_ref().map_or_else(begin, |pool| pool.install(begin));
         board.give_back(&share);
-        match begun {
-            Ok(Begun::Unchanged(brief)) => board.end(i, Ending::Unchanged(brief)),
-            Ok(Begun::Made(made)) => {
+        match started {
+            Ok(Started::Unchanged(brief)) => board.end(i, Ending::Unchanged(brief)),
+            Ok(Started::Made(made)) => {
                 if let Err(back) = to_namer.send((i, made)) {
                     let (i, made) = back.0;
                     board.end(i, named(board, i, made));
@@ -301,7 +301,7 @@ impl<'a> Board<'a> {
             Some(State::Ended(Ending::Failed(why))) => {
                 Some(Ending::Failed(format!("it needs {id}, which failed: {why}")))
             }
-            Some(State::Ended(Ending::NotBegun)) => Some(Ending::NotBegun),
+            Some(State::Ended(Ending::NotStarted)) => Some(Ending::NotStarted),
             _ => None,
         };
         let is_open = |i: &usize| matches!(open.states[*i], State::Open);
@@ -317,7 +317,7 @@ impl<'a> Board<'a> {
         let mut open = self.lock();
         for (state, job) in open.states.iter_mut().zip(self.jobs) {
             if matches!(state, State::Open) && disk(job) == full {
-                *state = State::Ended(Ending::NotBegun);
+                *state = State::Ended(Ending::NotStarted);
                 left += 1;
             }
         }
@@ -354,7 +354,7 @@ impl<'a> Board<'a> {
         let open = self.open.into_inner().unwrap_or_else(PoisonError::into_inner);
         let ending = |state| match state {
             State::Ended(ending) => ending,
-            State::Open | State::Going => Ending::NotBegun,
+            State::Open | State::Going => Ending::NotStarted,
         };
         open.states.into_iter().map(ending).collect()
     }

@@ -114,7 +114,7 @@ pub struct Summary {
 
 /// The outcome of a batch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Verdict {
+pub enum Outcome {
     /// Every job is done.
     All,
     /// No job is done.
@@ -123,13 +123,13 @@ pub enum Verdict {
     Some,
 }
 
-impl Verdict {
+impl Outcome {
     /// Returns the outcome for `done` jobs of `all`; `None` if there are no jobs.
-    pub fn of(done: usize, all: usize) -> Verdict {
+    pub fn of(done: usize, all: usize) -> Outcome {
         match done {
-            0 => Verdict::None,
-            _ if done == all => Verdict::All,
-            _ => Verdict::Some,
+            0 => Outcome::None,
+            _ if done == all => Outcome::All,
+            _ => Outcome::Some,
         }
     }
 }
@@ -142,7 +142,7 @@ impl Summary {
                 Ending::Done(brief) => (Status::Done, brief.clone(), None),
                 Ending::Unchanged(brief) => (Status::Unchanged, brief.clone(), None),
                 Ending::Failed(error) => (Status::Failed, Brief::default(), Some(error.clone())),
-                Ending::NotBegun => (Status::NotDone, Brief::default(), None),
+                Ending::NotStarted => (Status::NotDone, Brief::default(), None),
             };
             row(job, status, brief, error)
         });
@@ -182,8 +182,8 @@ impl Summary {
     }
 
     /// Returns the outcome.
-    pub fn verdict(&self) -> Verdict {
-        Verdict::of(self.counts.done + self.counts.unchanged, self.counts.jobs)
+    pub fn outcome(&self) -> Outcome {
+        Outcome::of(self.counts.done + self.counts.unchanged, self.counts.jobs)
     }
 
     /// Returns the summary as JSON, with a final line feed.
@@ -313,10 +313,10 @@ mod tests {
     fn outcome_is_all_some_or_none() {
         let done = || Ending::Done(Brief::default());
         let failed = || Ending::Failed("x, \"y\"\nz".into());
-        assert_eq!(summary(&[done(), Ending::Unchanged(Brief::default())]).verdict(), Verdict::All);
-        assert_eq!(summary(&[done(), failed()]).verdict(), Verdict::Some);
-        assert_eq!(summary(&[Ending::NotBegun, failed()]).verdict(), Verdict::None);
-        assert_eq!(summary(&[]).verdict(), Verdict::None);
+        assert_eq!(summary(&[done(), Ending::Unchanged(Brief::default())]).outcome(), Outcome::All);
+        assert_eq!(summary(&[done(), failed()]).outcome(), Outcome::Some);
+        assert_eq!(summary(&[Ending::NotStarted, failed()]).outcome(), Outcome::None);
+        assert_eq!(summary(&[]).outcome(), Outcome::None);
     }
 
     #[test]

@@ -126,13 +126,13 @@ pub struct KindTable {
     /// Root mean square distance over the picture between their motion and the alignment; null without either.
     pub off_px: Option<f64>,
     /// Comparison of their motion with the alignment.
-    pub verdict: Option<KindVerdict>,
+    pub verdict: Option<MotionComparison>,
 }
 
 /// Comparison of the motion from one kind of keypoints with the alignment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum KindVerdict {
+pub enum MotionComparison {
     /// Same motion within `NEAR_PX`.
     Agrees,
     /// Another motion.
@@ -220,10 +220,10 @@ fn feature_table(evidence: &Evidence, warp: Option<&Transform>, size: (usize, us
         let off_px = motion.zip(warp).map(|(own, place)| distance_px(&own, place, size));
         let diagonal = ((size.0 * size.0 + size.1 * size.1) as f64).sqrt();
         let verdict = match (motion, off_px) {
-            (None, _) => KindVerdict::NoMotion,
-            (Some(_), None) => KindVerdict::NoPlace,
-            (Some(_), Some(off)) if off <= NEAR_PX * (diagonal / 1000.0).max(1.0) => KindVerdict::Agrees,
-            (Some(_), Some(_)) => KindVerdict::Differs,
+            (None, _) => MotionComparison::NoMotion,
+            (Some(_), None) => MotionComparison::NoPlace,
+            (Some(_), Some(off)) if off <= NEAR_PX * (diagonal / 1000.0).max(1.0) => MotionComparison::Agrees,
+            (Some(_), Some(_)) => MotionComparison::Differs,
         };
         let matches = Some(matching.pairs.len());
         KindTable { matches, inliers: Some(inliers), off_px, verdict: Some(verdict), ..blank }

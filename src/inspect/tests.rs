@@ -126,7 +126,7 @@ fn a_rejected_frame_is_drawn_without_an_after() {
     let inspection = inspect(&bracket, &alignment, &options, &[]).unwrap();
     assert!(inspection.tables().to_text().contains("dark <1>.png: rejected: a reason"));
     let merged = inspection.tables().frames[0].features.merged;
-    assert_eq!((merged.off_px, merged.verdict), (None, Some(tables::KindVerdict::NoPlace)));
+    assert_eq!((merged.off_px, merged.verdict), (None, Some(tables::MotionComparison::NoPlace)));
     let edges = drawn(inspection.sheet(0, SheetKind::Edges).unwrap()).to_svg();
     assert!(edges.contains("before: as photographed") && !edges.contains("after: aligned"));
     let xor = drawn(inspection.sheet(0, SheetKind::Xor).unwrap()).to_svg();

@@ -3,7 +3,7 @@
 //! In: [`Tables`]. Out: `tables.txt`. Cost: none. Tables 2 to 4 are Tables 4.1 to 4.3 of the thesis, for any bracket: keypoints, matches and
 //! resulting motion, for the photograph, for its bitmap, and for both merged.
 
-use super::tables::{FrameTable, KindTable, KindVerdict, Tables};
+use super::tables::{FrameTable, KindTable, MotionComparison, Tables};
 use crate::align::grey::Percentile;
 use crate::align::{Model, Status};
 use crate::bracket::exposure::ExposureSource;
@@ -50,7 +50,7 @@ impl Tables {
             "Table 4. Motion found from each kind of keypoint alone, compared with the alignment",
             "px: root mean square distance over the picture between this motion and the alignment.",
             &["EV", "plain", "px", "MTB", "px", "merged", "px"],
-            &verdict_row,
+            &comparison_row,
         );
         add(
             "Table 5. Alignment",
@@ -144,12 +144,12 @@ fn match_row(frame: &FrameTable) -> Vec<String> {
     [stops(frame.relative_ev)].into_iter().chain(cells).collect()
 }
 
-fn verdict_row(frame: &FrameTable) -> Vec<String> {
-    let word = |v: KindVerdict| match v {
-        KindVerdict::Agrees => "agrees".to_owned(),
-        KindVerdict::Differs => "differs".to_owned(),
-        KindVerdict::NoMotion => "no motion".to_owned(),
-        KindVerdict::NoPlace => "no place".to_owned(),
+fn comparison_row(frame: &FrameTable) -> Vec<String> {
+    let word = |v: MotionComparison| match v {
+        MotionComparison::Agrees => "agrees".to_owned(),
+        MotionComparison::Differs => "differs".to_owned(),
+        MotionComparison::NoMotion => "no motion".to_owned(),
+        MotionComparison::NoPlace => "no place".to_owned(),
     };
     let cells = |k: &KindTable| [or_nothing(k.verdict, word), or_nothing(k.off_px, |d| format!("{d:.2}"))];
     [stops(frame.relative_ev)].into_iter().chain(frame.features.kinds().into_iter().flat_map(cells)).collect()

@@ -234,7 +234,7 @@ fn mixed(shares: &[Share], count: usize) -> Plane<[u8; 3]> {
 }
 
 /// Returns true if the alignment of a frame with this `status` was estimated, with or without success.
-fn is_sought(status: Status) -> bool {
+fn is_searched(status: Status) -> bool {
     matches!(status, Status::Aligned | Status::Assumed | Status::Rejected)
 }
 

@@ -5,8 +5,8 @@
 //! Cost: loading and aligning each bracket, one after the other; only its flat places are kept. Source: pooling as in
 //! `response::recover_from`: the response is the same in all brackets of a camera, and together they show more codes.
 
+mod bracket_samples;
 mod folders;
-mod seen;
 
 use super::threads::in_pool;
 use super::{Prepared, Watch};
@@ -19,7 +19,7 @@ use crate::response::file::{Format, SavedResponse};
 use crate::response::samples::{self, Places};
 use crate::response::{self, ResponseReport};
 use crate::write::{self, Target, Written};
-use seen::Seen;
+use bracket_samples::BracketSamples;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -134,10 +134,10 @@ pub fn prepare(brackets: &[Vec<PathBuf>], options: &Options, watch: Watch) -> Re
         let photographs = brackets.concat();
         check_names(&photographs, options)?;
         let began = Instant::now();
-        let (seen, mut warnings) = seen::see(brackets, options, watch)?;
-        let (curve, recovered, more) = response::recover_from(&places(&seen), &options.pipeline.response)?;
+        let (collected, mut warnings) = bracket_samples::collect(brackets, options, watch)?;
+        let (curve, recovered, more) = response::recover_from(&places(&collected), &options.pipeline.response)?;
         warnings.extend(more);
-        let first = &seen[0];
+        let first = &collected[0];
         if let Some(reason) = recovered.fallback {
             return Err(Error::NoResponse { path: first.path.clone(), reason });
         }
@@ -150,12 +150,12 @@ pub fn prepare(brackets: &[Vec<PathBuf>], options: &Options, watch: Watch) -> Re
             write::check_targets(&target, &photographs, options.pipeline.write.overwrite)?;
             curves.push(path);
         }
-        let miniatures: Vec<_> = seen.iter().filter_map(|bracket| bracket.miniature.as_ref()).collect();
+        let miniatures: Vec<_> = collected.iter().filter_map(|bracket| bracket.miniature.as_ref()).collect();
         for path in &curves {
             files.push(curves::written(&saved, path, &miniatures)?);
         }
         if !options.plots.is_empty() {
-            files.extend(plots(&saved, &recovered, &seen, &options.plots)?);
+            files.extend(plots(&saved, &recovered, &collected, &options.plots)?);
         }
         let names: Vec<PathBuf> = files.iter().map(|w| w.file.target().to_path_buf()).collect();
         let mut pending = Vec::new();
@@ -168,7 +168,7 @@ pub fn prepare(brackets: &[Vec<PathBuf>], options: &Options, watch: Watch) -> Re
             software: concat!("hdralign ", env!("CARGO_PKG_VERSION")),
             camera_make: saved.make.clone(),
             camera_model: saved.model.clone(),
-            brackets: seen.into_iter().map(|bracket| bracket.report).collect(),
+            brackets: collected.into_iter().map(|bracket| bracket.report).collect(),
             response: recovered,
             outputs: names.iter().map(|p| p.to_string_lossy().into_owned()).collect(),
             warnings: warnings.iter().map(WarningReport::from).collect(),
@@ -210,16 +210,22 @@ fn default_output(photographs: &[PathBuf], saved: &SavedResponse) -> PathBuf {
     first.with_file_name(name + ".json")
 }
 
-fn places(seen: &[Seen]) -> Vec<&Places> {
-    seen.iter().map(|bracket| &bracket.places).collect()
+fn places(collected: &[BracketSamples]) -> Vec<&Places> {
+    collected.iter().map(|bracket| &bracket.places).collect()
 }
 
 /// Returns the plots, complete but not yet named.
-fn plots(saved: &SavedResponse, recovered: &ResponseReport, seen: &[Seen], paths: &[PathBuf]) -> Result<Vec<Written>> {
-    let drawn = samples::draw(&places(seen), DRAWN);
+fn plots(
+    saved: &SavedResponse,
+    recovered: &ResponseReport,
+    collected: &[BracketSamples],
+    paths: &[PathBuf],
+) -> Result<Vec<Written>> {
+    let drawn = samples::draw(&places(collected), DRAWN);
     let title = saved.camera().unwrap_or_else(|| "Camera response".to_owned());
-    let frames: usize = seen.iter().map(|bracket| bracket.report.frames.len()).sum();
-    let mut notes = format!("{}, from {frames} photographs in {}.", recovered.model, counted(seen.len(), "bracket"));
+    let frames: usize = collected.iter().map(|bracket| bracket.report.frames.len()).sum();
+    let mut notes =
+        format!("{}, from {frames} photographs in {}.", recovered.model, counted(collected.len(), "bracket"));
     if let Some(fits) = &recovered.channels {
         let residuals = fits.map(|fit| format!("{:.3}", fit.residual_stops));
         notes +=

@@ -130,7 +130,7 @@ mod tests {
 
     /// Returns the curve and its fit, as `recover` does.
     fn channel(samples: &[Sample], options: &Options) -> Fitted<([f64; CODES], Fit)> {
-        fit::judge(samples, super::channel(samples, options)?)
+        fit::finish(samples, super::channel(samples, options)?)
     }
 
     /// gsolve.m of Debevec & Malik's appendix: all unknowns, g(0..=255) and ln E_i, in one matrix, solved by SVD.

@@ -298,7 +298,7 @@ mod tests {
     use std::f64::consts::LN_2;
 
     fn curve(samples: &[Sample], options: &Options) -> ([f64; CODES], super::super::Fit) {
-        fit::judge(samples, channel(samples, options).unwrap().0).unwrap()
+        fit::finish(samples, channel(samples, options).unwrap().0).unwrap()
     }
 
     #[test]
@@ -340,7 +340,7 @@ mod tests {
         // 2.2 and 1.8 were given; 2 and 2 are true. The power of the ratios, which only the given ones determine, has
         // an error of 2 %.
         assert!((stops(0) - stops(1)).abs() < 0.05, "{} {}", stops(0), stops(1));
-        let (g, _) = fit::judge(&samples, found).unwrap();
+        let (g, _) = fit::finish(&samples, found).unwrap();
         assert!(difference(&g, |v| libm::pow(v, 2.2)) < 0.08);
     }
 

@@ -172,7 +172,7 @@ impl ResponseModel {
     }
 
     /// Whether the response is recovered from the bracket.
-    pub fn is_sought(&self) -> bool {
+    pub fn is_recovered(&self) -> bool {
         !matches!(self, ResponseModel::Linear | ResponseModel::Srgb)
     }
 }
@@ -326,7 +326,7 @@ fn channel(samples: &[Sample], model: &ResponseModel) -> Fitted<Channel> {
         ResponseModel::Debevec(options) => (debevec::channel(samples, options)?, Vec::new()),
         ResponseModel::Linear | ResponseModel::Srgb => return Err("the curve is given, not recovered".to_owned()),
     };
-    let (g, fit) = fit::judge(samples, found)?;
+    let (g, fit) = fit::finish(samples, found)?;
     Ok(Channel { g, fit, ratios })
 }
 

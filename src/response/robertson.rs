@@ -73,7 +73,7 @@ impl Options {
 /// Returns g of one channel, or the reason why it cannot be recovered.
 pub(super) fn channel(samples: &[Sample], options: &Options) -> Fitted<Found> {
     fit::check(samples)?;
-    let seen: Vec<Vec<Seen>> = samples.iter().map(|s| s.views.iter().map(Seen::of).collect()).collect();
+    let seen: Vec<Vec<SweepView>> = samples.iter().map(|s| s.views.iter().map(SweepView::of).collect()).collect();
     let mut g = *ResponseCurve::srgb().ln_exposure(0);
     let mut trust = vec![1.0; samples.len()];
     let mut left = options.sweeps;
@@ -95,7 +95,7 @@ pub(super) fn channel(samples: &[Sample], options: &Options) -> Fitted<Found> {
 }
 
 /// A view with its values for the sweeps.
-struct Seen {
+struct SweepView {
     /// The two neighbouring codes, with their weights.
     codes: [(usize, f64); 2],
     /// Relative exposure t.
@@ -104,10 +104,10 @@ struct Seen {
     weight: f64,
 }
 
-impl Seen {
+impl SweepView {
     fn of(view: &View) -> Self {
         let off = view.code / 127.5 - 1.0;
-        Seen { codes: between(view.code), time: libm::exp(view.ln_time), weight: libm::exp(-4.0 * off * off) }
+        SweepView { codes: between(view.code), time: libm::exp(view.ln_time), weight: libm::exp(-4.0 * off * off) }
     }
 
     /// t / I.
@@ -117,7 +117,7 @@ impl Seen {
 }
 
 /// Updates the x and then the I. Returns the new ln I, and the root mean square of 1 - t x / I of the old ones.
-fn sweep(samples: &[Vec<Seen>], trust: &[f64], g: &[f64; CODES], smoothness: f64) -> Fitted<([f64; CODES], f64)> {
+fn sweep(samples: &[Vec<SweepView>], trust: &[f64], g: &[f64; CODES], smoothness: f64) -> Fitted<([f64; CODES], f64)> {
     let exposure = g.map(libm::exp);
     let (mut change, mut count) = ([0.0; CODES], [0.0; CODES]);
     let (mut square, mut weight) = (0.0, 0.0);
@@ -200,7 +200,7 @@ mod tests {
     fn known_curves_come_back() {
         for power in [1.8, 2.2, 2.6] {
             let samples = scene(800, &[-4.0, -2.0, 0.0, 2.0], |x| libm::pow(x, 1.0 / power));
-            let (g, fit) = fit::judge(&samples, channel(&samples, &Options::default()).unwrap()).unwrap();
+            let (g, fit) = fit::finish(&samples, channel(&samples, &Options::default()).unwrap()).unwrap();
             assert!(difference(&g, |v| libm::pow(v, power)) < 0.04, "{power}: {fit:?}");
         }
     }
@@ -209,8 +209,8 @@ mod tests {
     fn sweeps_do_not_raise_the_objective_and_keep_a_curve_without_error() {
         let samples = scene(800, &[-2.0, 0.0, 2.0], |x| libm::pow(x, 1.0 / 1.8));
         let trust = vec![1.0; samples.len()];
-        let seen = |samples: &[Sample]| -> Vec<Vec<Seen>> {
-            samples.iter().map(|s| s.views.iter().map(Seen::of).collect()).collect()
+        let seen = |samples: &[Sample]| -> Vec<Vec<SweepView>> {
+            samples.iter().map(|s| s.views.iter().map(SweepView::of).collect()).collect()
         };
         let (mut g, mut last) = (*ResponseCurve::srgb().ln_exposure(0), f64::INFINITY);
         for _ in 0..8 {

@@ -64,7 +64,7 @@ fn off(curve: &ResponseCurve) -> f64 {
     (d.iter().map(|v| (v - mean) * (v - mean)).sum::<f64>() / d.len() as f64).sqrt()
 }
 
-fn sought() -> [ResponseModel; 3] {
+fn recovered() -> [ResponseModel; 3] {
     [
         ResponseModel::default(),
         ResponseModel::Robertson(Default::default()),
@@ -75,7 +75,7 @@ fn sought() -> [ResponseModel; 3] {
 #[test]
 fn every_model_recovers_the_curve() {
     let (bracket, alignment) = still((400, 300), &[0.25, 1.0, 4.0], tiles);
-    for (model, name) in sought().iter().zip(["debevec", "robertson", "mitsunaga-nayar"]) {
+    for (model, name) in recovered().iter().zip(["debevec", "robertson", "mitsunaga-nayar"]) {
         let (curve, report, warnings) = recover(&bracket, &alignment, model).unwrap();
         assert_eq!((report.model, warnings.len()), (name, 0), "{report:?}");
         assert!(off(&curve) < 0.05, "{name}: {}", off(&curve));
@@ -92,7 +92,7 @@ fn undetermined_channel_borrows_the_curve_with_a_warning() {
         let [r, g, _] = tiles(x, y);
         [r, g, 0.0]
     });
-    for model in sought() {
+    for model in recovered() {
         let (curve, report, warnings) = recover(&bracket, &alignment, &model).unwrap();
         assert_eq!(report.channels.unwrap().map(|fit| fit.borrowed), [false, false, true]);
         assert!(matches!(&warnings[..], [Warning::ResponseBorrowed { channel: "blue", .. }]), "{warnings:?}");

@@ -103,7 +103,7 @@ pub enum Codes<'a> {
 /// The state of a file.
 enum State<P> {
     /// Started, with the number of missing pixels.
-    Begun(Box<dyn RowWriter<P>>, usize),
+    Started(Box<dyn RowWriter<P>>, usize),
     Ended(Written),
     Failed,
 }
@@ -119,10 +119,10 @@ impl<P: Sync> Slot<P> {
     /// Adds rows; the file ends after the last one.
     fn push(&mut self, rows: &[P]) -> Result<()> {
         self.state = match std::mem::replace(&mut self.state, State::Failed) {
-            State::Begun(mut writer, missing) => {
+            State::Started(mut writer, missing) => {
                 writer.push(rows)?;
                 let missing = missing - rows.len();
-                if missing == 0 { State::Ended(writer.finish()?) } else { State::Begun(writer, missing) }
+                if missing == 0 { State::Ended(writer.finish()?) } else { State::Started(writer, missing) }
             }
             State::Ended(_) => panic!("more rows than the picture has"),
             State::Failed => return Err(failed(&self.path)),
@@ -133,7 +133,7 @@ impl<P: Sync> Slot<P> {
     /// Ends the file; an incomplete one is an error of its writer.
     fn ended(self) -> Result<(usize, Written)> {
         let written = match self.state {
-            State::Begun(writer, _) => writer.finish()?,
+            State::Started(writer, _) => writer.finish()?,
             State::Ended(written) => written,
             State::Failed => return Err(failed(&self.path)),
         };
@@ -213,13 +213,13 @@ impl Files {
                 let writer = jpeg::Writer::new(pending, size, &shown, (&options.jpeg, colours), &settled.rendition)?;
                 files.both.push(Both { place, path, state: Some(Box::new(writer)) });
             } else if output.format.holds_radiance() {
-                let state = State::Begun(radiance_writer(output, full, metadata, options, settled)?, full.0 * full.1);
+                let state = State::Started(radiance_writer(output, full, metadata, options, settled)?, full.0 * full.1);
                 files.radiance.push(Slot { place, path, state });
             } else if options.picture.depth == Depth::Eight {
-                let state = State::Begun(picture_writer(output, size, &shown, colours)?, pixels);
+                let state = State::Started(picture_writer(output, size, &shown, colours)?, pixels);
                 files.eight.push(Slot { place, path, state });
             } else {
-                let state = State::Begun(picture_writer(output, size, &shown, colours)?, pixels);
+                let state = State::Started(picture_writer(output, size, &shown, colours)?, pixels);
                 files.sixteen.push(Slot { place, path, state });
             }
         }

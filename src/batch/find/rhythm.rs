@@ -15,7 +15,7 @@ pub(super) const BURST_S: f64 = 10.0;
 
 /// One exposure.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub(super) struct Beat {
+pub(super) struct TimedExposure {
     /// Seconds since an arbitrary time that is the same for the whole stream; `None` if the time is not known.
     pub at_s: Option<f64>,
     /// Resolution of the clock, in seconds.
@@ -47,32 +47,32 @@ pub(super) enum Mode {
 /// Which end of an exposure the camera's clock records.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Clock {
-    Begin,
+    Start,
     End,
 }
 
 /// Determines what the clock records. Exposures cannot overlap, so the choice with less overlap is right; the start
 /// if they are equal. With a clock of whole seconds both choices have some overlap, and the wrong one has more.
-pub(super) fn clock(beats: &[Beat]) -> Clock {
-    let overlap = |exposed: fn(&[Beat]) -> f64| {
-        let of = |pair: &[Beat]| Some((exposed(pair) - apart(pair)?).max(0.0));
-        beats.windows(2).filter_map(of).sum::<f64>()
+pub(super) fn clock(exposures: &[TimedExposure]) -> Clock {
+    let overlap = |exposed: fn(&[TimedExposure]) -> f64| {
+        let of = |pair: &[TimedExposure]| Some((exposed(pair) - apart(pair)?).max(0.0));
+        exposures.windows(2).filter_map(of).sum::<f64>()
     };
-    if overlap(|pair| pair[1].time_s) < overlap(|pair| pair[0].time_s) { Clock::End } else { Clock::Begin }
+    if overlap(|pair| pair[1].time_s) < overlap(|pair| pair[0].time_s) { Clock::End } else { Clock::Start }
 }
 
-fn apart(pair: &[Beat]) -> Option<f64> {
+fn apart(pair: &[TimedExposure]) -> Option<f64> {
     Some(pair[1].at_s? - pair[0].at_s?)
 }
 
 /// Returns the seconds from the end of each exposure to the start of the next; `None` if the times are not known.
-pub(super) fn gaps(beats: &[Beat], clock: Clock) -> Vec<Option<f64>> {
-    beats.windows(2).map(|pair| gap(&pair[0], &pair[1], clock)).collect()
+pub(super) fn gaps(exposures: &[TimedExposure], clock: Clock) -> Vec<Option<f64>> {
+    exposures.windows(2).map(|pair| gap(&pair[0], &pair[1], clock)).collect()
 }
 
 /// Returns the seconds from the end of `a` to the start of `b`, which is later.
-pub(super) fn gap(a: &Beat, b: &Beat, clock: Clock) -> Option<f64> {
-    let exposed = if clock == Clock::Begin { a.time_s } else { b.time_s };
+pub(super) fn gap(a: &TimedExposure, b: &TimedExposure, clock: Clock) -> Option<f64> {
+    let exposed = if clock == Clock::Start { a.time_s } else { b.time_s };
     Some((b.at_s? - a.at_s? - exposed).max(0.0))
 }
 
@@ -88,12 +88,12 @@ const UNEVEN: f64 = 0.8;
 const JITTER_S: f64 = 0.5;
 
 /// Returns the cost of the pauses of a bracket: for the length of each, and for differing from the median.
-pub(super) fn cost(beats: &[Beat], gaps: &[Option<f64>]) -> f64 {
+pub(super) fn cost(exposures: &[TimedExposure], gaps: &[Option<f64>]) -> f64 {
     let known: Vec<f64> = gaps.iter().flatten().copied().collect();
     let rank = known.len().saturating_sub(1) / 2;
     let Some(middle) = of_rank(known, rank) else { return 0.0 };
     let mut sum = 0.0;
-    for (gap, pair) in gaps.iter().zip(beats.windows(2)) {
+    for (gap, pair) in gaps.iter().zip(exposures.windows(2)) {
         let Some(gap) = gap else { continue };
         let is_auto = pair.iter().any(|b| b.mode == Mode::AutoBracket);
         let unhurried = match (is_auto, pair[0].mode) {

@@ -10,7 +10,7 @@
 //! in nats: 1 means "2.7 times less likely". Source: Jackson et al. 2005, "An algorithm for optimal partitioning of
 //! data on an interval", for the algorithm; the costs are our own, set with the simulated photographers of the tests.
 
-use super::rhythm::{self, Beat, Clock, Mode};
+use super::rhythm::{self, Clock, Mode, TimedExposure};
 use crate::statistics::median;
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -76,16 +76,16 @@ const REPEATED: f64 = 4.0;
 /// Largest gain of a pattern that is found often.
 const POPULAR: f64 = 2.5;
 
-/// Returns the brackets of `beats` as ranges in order.
-pub(super) fn brackets(beats: &[Beat], clock: Clock, rules: &Rules) -> Vec<Range<usize>> {
-    let gaps = rhythm::gaps(beats, clock);
+/// Returns the brackets of `exposures` as ranges in order.
+pub(super) fn brackets(exposures: &[TimedExposure], clock: Clock, rules: &Rules) -> Vec<Range<usize>> {
+    let gaps = rhythm::gaps(exposures, clock);
     let mut popular = Popular::default();
-    let mut found = divided(beats, &gaps, rules, &popular);
+    let mut found = divided(exposures, &gaps, rules, &popular);
     // Patterns that were found often become more likely. Two passes are enough, because the pattern of a card settles
     // at once.
     for _ in 0..2 {
-        popular = Popular::of(beats, &found);
-        let again = divided(beats, &gaps, rules, &popular);
+        popular = Popular::of(exposures, &found);
+        let again = divided(exposures, &gaps, rules, &popular);
         if again == found {
             break;
         }
@@ -96,13 +96,13 @@ pub(super) fn brackets(beats: &[Beat], clock: Clock, rules: &Rules) -> Vec<Range
 
 /// Returns the division with the smallest cost, by dynamic programming over the start of the last bracket. Of equal
 /// divisions it is the one whose brackets come first.
-fn divided(beats: &[Beat], gaps: &[Option<f64>], rules: &Rules, popular: &Popular) -> Vec<Range<usize>> {
+fn divided(exposures: &[TimedExposure], gaps: &[Option<f64>], rules: &Rules, popular: &Popular) -> Vec<Range<usize>> {
     let single = if rules.frames.is_some() { SINGLE_OF_COUNTED } else { SINGLE };
     // The cost of the frames before each frame, and the start of the last part of them.
-    let mut best = vec![(0.0, 0); beats.len() + 1];
-    let mut reached = vec![f64::INFINITY; beats.len() + 1];
+    let mut best = vec![(0.0, 0); exposures.len() + 1];
+    let mut reached = vec![f64::INFINITY; exposures.len() + 1];
     reached[0] = 0.0;
-    for begin in 0..beats.len() {
+    for begin in 0..exposures.len() {
         let so_far = reached[begin];
         let mut offer = |end: usize, cost: f64| {
             // Later starts are tried later: at equal cost the single photographs come last.
@@ -112,29 +112,29 @@ fn divided(beats: &[Beat], gaps: &[Option<f64>], rules: &Rules, popular: &Popula
             }
         };
         offer(begin + 1, single);
-        let most = rules.frames.unwrap_or(MOST_FRAMES).min(beats.len() - begin);
+        let most = rules.frames.unwrap_or(MOST_FRAMES).min(exposures.len() - begin);
         let mut twice = 0;
         for count in 2..=most {
             let end = begin + count;
-            let is_again = |b: &Beat| b.ev.zip(beats[end - 1].ev).is_some_and(|(a, b)| is_same(a, b));
-            twice += usize::from(beats[begin..end - 1].iter().any(is_again));
+            let is_again = |b: &TimedExposure| b.ev.zip(exposures[end - 1].ev).is_some_and(|(a, b)| is_same(a, b));
+            twice += usize::from(exposures[begin..end - 1].iter().any(is_again));
             if rules.frames.is_none() && twice > MOST_TWICE {
                 break;
             }
             let is_near = gaps[end - 2].is_none_or(|gap| gap <= rules.gap_s);
-            if !is_near || !is_one_view(&beats[begin], &beats[end - 1]) {
+            if !is_near || !is_one_view(&exposures[begin], &exposures[end - 1]) {
                 break;
             }
             if rules.frames.is_some_and(|frames| frames != count) {
                 continue;
             }
-            let (beats, gaps) = (&beats[begin..end], &gaps[begin..end - 1]);
-            let Some(cost) = cost(beats, gaps, rules) else { continue };
-            offer(end, cost - popular.gain(beats));
+            let (exposures, gaps) = (&exposures[begin..end], &gaps[begin..end - 1]);
+            let Some(cost) = cost(exposures, gaps, rules) else { continue };
+            offer(end, cost - popular.gain(exposures));
         }
     }
     let mut found = Vec::new();
-    let mut end = beats.len();
+    let mut end = exposures.len();
     while end > 0 {
         let begin = best[end].1;
         if end - begin > 1 {
@@ -147,21 +147,21 @@ fn divided(beats: &[Beat], gaps: &[Option<f64>], rules: &Rules, popular: &Popula
 }
 
 /// Whether the lens was not zoomed between two frames: within a hundredth.
-pub(super) fn is_one_view(a: &Beat, b: &Beat) -> bool {
+pub(super) fn is_one_view(a: &TimedExposure, b: &TimedExposure) -> bool {
     match (a.focal_length_mm, b.focal_length_mm) {
         (Some(a), Some(b)) => (a - b).abs() <= 0.01 * a.max(b),
         _ => true,
     }
 }
 
-/// Returns the cost of `beats` as a bracket with the pauses `gaps`, or `None` if it cannot be one.
+/// Returns the cost of `exposures` as a bracket with the pauses `gaps`, or `None` if it cannot be one.
 ///
 /// The cost is the sum for: the bracket itself; long and uneven pauses; repeated exposures; uneven steps; an order
 /// that no camera uses; frames that were metered separately, or without automatic bracketing beside frames with it;
 /// repeated positions in the camera's own bracket; the same steps twice in a row. It is less if the camera records
 /// different positions of one bracket.
-fn cost(beats: &[Beat], gaps: &[Option<f64>], rules: &Rules) -> Option<f64> {
-    let known: Option<Vec<f64>> = beats.iter().map(|b| b.ev).collect();
+fn cost(exposures: &[TimedExposure], gaps: &[Option<f64>], rules: &Rules) -> Option<f64> {
+    let known: Option<Vec<f64>> = exposures.iter().map(|b| b.ev).collect();
     let Some(evs) = known else {
         // Without exposures only the user's number is used.
         return rules.frames.map(|_| 0.0);
@@ -174,7 +174,7 @@ fn cost(beats: &[Beat], gaps: &[Option<f64>], rules: &Rules) -> Option<f64> {
     let by_count = if rules.frames.is_some() {
         0.0
     } else {
-        match beats.len() {
+        match exposures.len() {
             2 => BRACKET + TWO,
             3 => BRACKET,
             5 | 7 | 9 => BRACKET + 0.2,
@@ -182,15 +182,18 @@ fn cost(beats: &[Beat], gaps: &[Option<f64>], rules: &Rules) -> Option<f64> {
         }
     };
     let is_narrow = if range < 1.0 - SAME_STOPS { NARROW } else { 0.0 };
-    let of_sequence =
-        if is_extended(beats, &sorted) { -EXTENDED } else { of_order(&evs) + of_places(beats) + of_repeats(&evs) };
+    let of_sequence = if is_extended(exposures, &sorted) {
+        -EXTENDED
+    } else {
+        of_order(&evs) + of_places(exposures) + of_repeats(&evs)
+    };
     Some(
         by_count
             + is_narrow
-            + rhythm::cost(beats, gaps)
+            + rhythm::cost(exposures, gaps)
             + of_twice(&evs)
             + of_steps(&sorted)
-            + of_modes(beats, gaps, &evs)
+            + of_modes(exposures, gaps, &evs)
             + of_sequence,
     )
 }
@@ -248,13 +251,13 @@ fn of_order(evs: &[f64]) -> f64 {
 }
 
 /// Returns the cost of frames without automatic bracketing among frames with it, and of steps of the light meter.
-fn of_modes(beats: &[Beat], gaps: &[Option<f64>], evs: &[f64]) -> f64 {
-    let count = |mode: Mode| beats.iter().filter(|b| b.mode == mode).count();
+fn of_modes(exposures: &[TimedExposure], gaps: &[Option<f64>], evs: &[f64]) -> f64 {
+    let count = |mode: Mode| exposures.iter().filter(|b| b.mode == mode).count();
     let (bracketed, others) = (count(Mode::AutoBracket), count(Mode::Manual) + count(Mode::Automatic));
     let mixed = MIXED * bracketed.min(others) as f64;
     let is_even = evs.len() > 2 && of_steps(&in_order(evs)) == 0.0;
     let of_step = |i: usize| {
-        let (a, b) = (&beats[i], &beats[i + 1]);
+        let (a, b) = (&exposures[i], &exposures[i + 1]);
         let asked = b.place.unwrap_or(0.0) - a.place.unwrap_or(0.0);
         let given = evs[i + 1] - evs[i];
         // The photographer uses the compensation dial; the light may have changed by half a stop in the meantime.
@@ -270,10 +273,10 @@ fn of_modes(beats: &[Beat], gaps: &[Option<f64>], evs: &[f64]) -> f64 {
 }
 
 /// Returns the cost of the positions recorded by the camera.
-fn of_places(beats: &[Beat]) -> f64 {
-    let places: Vec<f64> = beats.iter().filter(|b| b.mode != Mode::Manual).filter_map(|b| b.place).collect();
+fn of_places(exposures: &[TimedExposure]) -> f64 {
+    let places: Vec<f64> = exposures.iter().filter(|b| b.mode != Mode::Manual).filter_map(|b| b.place).collect();
     let Some(&first) = places.first() else { return 0.0 };
-    if places.len() != beats.len() || places.iter().all(|&p| is_same(p, first)) {
+    if places.len() != exposures.len() || places.iter().all(|&p| is_same(p, first)) {
         return 0.0;
     }
     let twice =
@@ -286,8 +289,8 @@ fn of_places(beats: &[Beat]) -> f64 {
 
 /// Whether the camera went through its bracket more than once, each time with another compensation, and all frames
 /// together are one ladder of even steps without repetition.
-fn is_extended(beats: &[Beat], sorted: &[f64]) -> bool {
-    let taken: Option<Vec<(f64, f64)>> = beats.iter().map(|b| Some((b.place?, b.bias?))).collect();
+fn is_extended(exposures: &[TimedExposure], sorted: &[f64]) -> bool {
+    let taken: Option<Vec<(f64, f64)>> = exposures.iter().map(|b| Some((b.place?, b.bias?))).collect();
     let Some(taken) = taken else { return false };
     let is_even = of_steps(sorted) == 0.0 && sorted.windows(2).all(|w| !is_same(w[0], w[1]));
     let mut runs: Vec<&[(f64, f64)]> = Vec::new();
@@ -329,27 +332,27 @@ fn of_repeats(evs: &[f64]) -> f64 {
 struct Popular(BTreeMap<Vec<i32>, usize>);
 
 impl Popular {
-    fn of(beats: &[Beat], found: &[Range<usize>]) -> Self {
+    fn of(exposures: &[TimedExposure], found: &[Range<usize>]) -> Self {
         let mut counts = Popular::default();
-        for pattern in found.iter().filter_map(|range| pattern(&beats[range.clone()])) {
+        for pattern in found.iter().filter_map(|range| pattern(&exposures[range.clone()])) {
             *counts.0.entry(pattern).or_insert(0) += 1;
         }
         counts
     }
 
-    fn gain(&self, beats: &[Beat]) -> f64 {
+    fn gain(&self, exposures: &[TimedExposure]) -> f64 {
         if self.0.is_empty() {
             return 0.0;
         }
-        let others = pattern(beats).and_then(|pattern| self.0.get(&pattern)).copied().unwrap_or(0);
+        let others = pattern(exposures).and_then(|pattern| self.0.get(&pattern)).copied().unwrap_or(0);
         libm::log(others.max(1) as f64).min(POPULAR)
     }
 }
 
 /// Returns the steps of a bracket from its first frame, in thirds of a stop.
-fn pattern(beats: &[Beat]) -> Option<Vec<i32>> {
-    let first = beats.first()?.ev?;
-    beats.iter().map(|b| Some(libm::round((b.ev? - first) * 3.0) as i32)).collect()
+fn pattern(exposures: &[TimedExposure]) -> Option<Vec<i32>> {
+    let first = exposures.first()?.ev?;
+    exposures.iter().map(|b| Some(libm::round((b.ev? - first) * 3.0) as i32)).collect()
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@
 //! The numbered folders of a card (DCF 2.0, section 3.2.3: 100CANON, 101CANON) count as one, because the counter may
 //! roll over within a bracket.
 
-use super::rhythm::{self, Beat, Clock, Mode};
+use super::rhythm::{self, Clock, Mode, TimedExposure};
 use super::segment::{self, Rules, SAME_STOPS};
 use super::twins::Placed;
 use super::walk::Place;
@@ -158,12 +158,12 @@ fn divided(mut photographs: Vec<Placed>, options: &FindOptions, is_odd: bool) ->
         });
     }
     sort(&mut photographs);
-    let beats = beats(&photographs);
-    let clock = rhythm::clock(&beats);
+    let exposures = exposures(&photographs);
+    let clock = rhythm::clock(&exposures);
     let rules = Rules { frames: options.frames, gap_s: options.gap_s.unwrap_or(rhythm::GAP_S) };
-    let ranges = segment::brackets(&beats, clock, &rules);
-    let sets = sets(&beats, clock, &ranges);
-    let bursts = bursts(&beats, clock, &ranges);
+    let ranges = segment::brackets(&exposures, clock, &rules);
+    let sets = sets(&exposures, clock, &ranges);
+    let bursts = bursts(&exposures, clock, &ranges);
 
     let mut grouped: Vec<Grouped> = Vec::with_capacity(ranges.len());
     let mut open = ranges.iter().zip(sets).peekable();
@@ -213,7 +213,7 @@ fn number(path: &Path) -> Option<u32> {
 }
 
 /// Converts the headers of a stream for [`segment`].
-fn beats(photographs: &[Placed]) -> Vec<Beat> {
+fn exposures(photographs: &[Placed]) -> Vec<TimedExposure> {
     let begin = photographs.first().and_then(|placed| placed.shot.header.taken);
     // Canon's maker notes record the position in the bracket; other cameras set the compensation.
     let has_places = photographs.iter().any(|p| p.shot.header.bracket_stops.is_some_and(|stops| stops != 0.0));
@@ -221,7 +221,7 @@ fn beats(photographs: &[Placed]) -> Vec<Beat> {
         .iter()
         .map(|placed| {
             let header = &placed.shot.header;
-            Beat {
+            TimedExposure {
                 at_s: begin.and_then(|begin| Some(header.taken?.since(&begin))),
                 resolution_s: header.taken.map_or(0.0, |taken| taken.resolution_s()),
                 time_s: header.exposure.time_s.map_or(0.0, |(time, _)| time),
@@ -242,9 +242,9 @@ fn beats(photographs: &[Placed]) -> Vec<Beat> {
 
 /// Returns the panorama of each bracket, from 0: brackets with the same steps and focal length that follow each other
 /// within [`rhythm::SET_S`].
-fn sets(beats: &[Beat], clock: Clock, ranges: &[Range<usize>]) -> Vec<usize> {
+fn sets(exposures: &[TimedExposure], clock: Clock, ranges: &[Range<usize>]) -> Vec<usize> {
     let steps = |range: &Range<usize>| {
-        let mut evs: Vec<f64> = beats[range.clone()].iter().filter_map(|b| b.ev).collect();
+        let mut evs: Vec<f64> = exposures[range.clone()].iter().filter_map(|b| b.ev).collect();
         evs.sort_by(f64::total_cmp);
         evs
     };
@@ -259,7 +259,7 @@ fn sets(beats: &[Beat], clock: Clock, ranges: &[Range<usize>]) -> Vec<usize> {
     for (i, range) in ranges.iter().enumerate() {
         if i > 0 {
             let earlier = &ranges[i - 1];
-            let (last, first) = (&beats[earlier.end - 1], &beats[range.start]);
+            let (last, first) = (&exposures[earlier.end - 1], &exposures[range.start]);
             let is_soon = rhythm::gap(last, first, clock).is_some_and(|pause| pause <= rhythm::SET_S);
             if !(is_soon && segment::is_one_view(last, first) && is_one_pattern(earlier, range)) {
                 set += 1;
@@ -271,14 +271,14 @@ fn sets(beats: &[Beat], clock: Clock, ranges: &[Range<usize>]) -> Vec<usize> {
 }
 
 /// Returns for each photograph in no bracket the length of its series with one exposure; `None` for a single one.
-fn bursts(beats: &[Beat], clock: Clock, ranges: &[Range<usize>]) -> Vec<Option<usize>> {
-    let mut is_free = vec![true; beats.len()];
+fn bursts(exposures: &[TimedExposure], clock: Clock, ranges: &[Range<usize>]) -> Vec<Option<usize>> {
+    let mut is_free = vec![true; exposures.len()];
     ranges.iter().for_each(|range| is_free[range.clone()].fill(false));
-    let mut bursts = vec![None; beats.len()];
+    let mut bursts = vec![None; exposures.len()];
     let mut begin = 0;
-    for end in 1..=beats.len() {
-        let goes_on = end < beats.len() && is_free[end - 1] && is_free[end] && {
-            let (a, b) = (&beats[end - 1], &beats[end]);
+    for end in 1..=exposures.len() {
+        let goes_on = end < exposures.len() && is_free[end - 1] && is_free[end] && {
+            let (a, b) = (&exposures[end - 1], &exposures[end]);
             let is_same = matches!((a.ev, b.ev), (Some(a), Some(b)) if (a - b).abs() < SAME_STOPS);
             is_same && rhythm::gap(a, b, clock).is_none_or(|gap| gap <= rhythm::BURST_S)
         };

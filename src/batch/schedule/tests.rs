@@ -68,7 +68,7 @@ fn full_disk_stops_further_jobs_and_is_reported_once() {
     board.end(0, Ending::Failed(outcome.unwrap_err()));
     board.fill(0);
     assert!(board.take(|| ()).is_none());
-    assert!(matches!(&board.endings()[..], [Ending::Failed(_), Ending::NotBegun, Ending::NotBegun]));
+    assert!(matches!(&board.endings()[..], [Ending::Failed(_), Ending::NotStarted, Ending::NotStarted]));
     assert_eq!((reports.into_inner(), ended.into_inner()), (1, 1));
 }
 
@@ -79,9 +79,9 @@ fn jobs_that_need_an_unstarted_job_are_not_started() {
     let (stop, limits) = (AtomicBool::new(false), limits(1, None));
     let watch = |_: Event| ();
     let board = Board::new(&jobs, &limits, &stop, &watch);
-    board.lock().states[0] = State::Ended(Ending::NotBegun);
+    board.lock().states[0] = State::Ended(Ending::NotStarted);
     assert!(board.take(|| ()).is_none());
-    assert_eq!(board.endings(), [Ending::NotBegun, Ending::NotBegun]);
+    assert_eq!(board.endings(), [Ending::NotStarted, Ending::NotStarted]);
 }
 
 #[test]
@@ -90,7 +90,7 @@ fn stopped_batch_starts_no_job() {
     let jobs = jobs(&[("a", &[]), ("b", &[])], dir.path());
     let stop = AtomicBool::new(true);
     let endings = run(&jobs, &Options::default(), &limits(2, None), false, &stop, &|_| ());
-    assert_eq!(endings, [Ending::NotBegun, Ending::NotBegun]);
+    assert_eq!(endings, [Ending::NotStarted, Ending::NotStarted]);
     assert!(std::fs::read_dir(dir.path()).unwrap().next().is_none());
 }
 

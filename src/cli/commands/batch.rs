@@ -13,7 +13,7 @@ use hdralign::batch::find::{self, FindOptions};
 use hdralign::batch::job;
 use hdralign::batch::name::Template;
 use hdralign::batch::plan::{self, Job, Normalisation, Responses, Settings};
-use hdralign::batch::summary::{Summary, Verdict};
+use hdralign::batch::summary::{Outcome, Summary};
 use hdralign::bracket::{LoadOptions, ReferenceChoice};
 use hdralign::error::Error;
 use hdralign::pipeline::{self, Options};
@@ -326,7 +326,7 @@ fn print_plan(jobs: &[Job], found: &find::Found, args: &Args) -> Result<ExitCode
     if !args.work.quiet {
         crate::cli::say(found::counted(found, lines.len()));
     }
-    Ok(exit_code(Verdict::of(lines.len(), jobs.len())))
+    Ok(exit_code(Outcome::of(lines.len(), jobs.len())))
 }
 
 /// `--run PLAN --id ID`.
@@ -358,8 +358,8 @@ fn jobs(path: &Path, args: &Args, typed: &[String]) -> Result<ExitCode, Error> {
         }
     }
     crate::cli::tell(&results)?;
-    let verdict = Verdict::of(done, jobs.len());
-    Ok(if args.work.strict && degraded && verdict == Verdict::All { ExitCode::from(3) } else { exit_code(verdict) })
+    let outcome = Outcome::of(done, jobs.len());
+    Ok(if args.work.strict && degraded && outcome == Outcome::All { ExitCode::from(3) } else { exit_code(outcome) })
 }
 
 /// The limit on pixels of a photograph of `job`: as given, or else the default, or its planned size if that is larger.
@@ -380,11 +380,11 @@ fn summarize(path: &Path, args: &Args) -> Result<ExitCode, Error> {
     night::finish(&summary, &first.summary, None, args)
 }
 
-fn exit_code(verdict: Verdict) -> ExitCode {
-    match verdict {
-        Verdict::All => ExitCode::SUCCESS,
-        Verdict::None => ExitCode::FAILURE,
-        Verdict::Some => ExitCode::from(3),
+fn exit_code(outcome: Outcome) -> ExitCode {
+    match outcome {
+        Outcome::All => ExitCode::SUCCESS,
+        Outcome::None => ExitCode::FAILURE,
+        Outcome::Some => ExitCode::from(3),
     }
 }
 

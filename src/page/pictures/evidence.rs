@@ -14,7 +14,7 @@ use crate::inspect::Inspection;
 use crate::inspect::sheets::keypoints::layers;
 use crate::page::markup::{escape, signed};
 use crate::page::plot::Figure;
-use crate::page::{COARSE, DRAWING, is_sought};
+use crate::page::{COARSE, DRAWING, is_searched};
 use crate::plane::Plane;
 use std::fmt::Write;
 
@@ -80,7 +80,7 @@ pub(in crate::page) fn gather(
 ) -> Result<Vec<Evidence>, String> {
     let placements = &alignment.placements;
     let base = bracket.reference_index();
-    let overlaid = placements.iter().filter(|placement| is_sought(placement.status())).count().max(1);
+    let overlaid = placements.iter().filter(|placement| is_searched(placement.status())).count().max(1);
     let share = (OVERLAY.1 as f64 / overlaid as f64).min(1.0).sqrt();
     let across = ((OVERLAY.0 as f64 * share) as usize).max(LEAST_OVERLAY);
     let needed = |i: usize| needs_features(alignment, i);
@@ -101,7 +101,7 @@ pub(in crate::page) fn gather(
                 Some((matched(matching, &both, scale), matching.pairs.len(), matching.inliers()))
             }
         };
-        let overlay = match is_sought(placements[i].status()) {
+        let overlay = match is_searched(placements[i].status()) {
             true => inspection.overlay(i, across)?,
             false => None,
         };

@@ -8,7 +8,7 @@ use crate::bracket::exposure::ExposureSource;
 use crate::inspect::text::{shutter, status_word};
 use crate::page::markup::{escape, figure, file_name, img, percent, signed};
 use crate::page::pictures::evidence::{Evidence, Overlay, Xor};
-use crate::page::{FramePage, Page, frame_css, is_sought};
+use crate::page::{FramePage, Page, frame_css, is_searched};
 use crate::report::{FrameReport, Report};
 use std::fmt::Write;
 
@@ -82,7 +82,7 @@ fn exposure(frame: &FrameReport) -> String {
 pub(in crate::page) fn moved(page: &Page, report: &Report) -> String {
     let all: Vec<(&FrameReport, &FramePage)> = report.frames.iter().zip(&page.frames).collect();
     let mut out = String::new();
-    if !all.iter().any(|(frame, _)| is_sought(frame.alignment.status)) {
+    if !all.iter().any(|(frame, _)| is_searched(frame.alignment.status)) {
         out += "<p class=\"intro\">No frame was moved: all have the same position as the reference. The measurements are below.</p>\n";
     } else {
         out += "<p class=\"intro\">Edges of the reference in orange, edges of the frame in blue; where both \
@@ -105,7 +105,7 @@ pub(in crate::page) fn moved(page: &Page, report: &Report) -> String {
         if let Some(overlay) = &shown.evidence.overlay {
             out += &compare(overlay, &file_name(&frame.path));
         }
-        out += &verdict(frame);
+        out += &comparison(frame);
         if let Some(xor) = &shown.evidence.xor {
             out += &curves(xor, frame);
         }
@@ -150,7 +150,7 @@ fn compare(overlay: &Overlay, name: &str) -> String {
 }
 
 /// Returns the alignment of a frame in numbers.
-fn verdict(frame: &FrameReport) -> String {
+fn comparison(frame: &FrameReport) -> String {
     let place = &frame.alignment;
     let model = place.model.map(|m| match m {
         Model::Unmoved => "none",
@@ -228,7 +228,7 @@ fn features(evidence: &Evidence, frame: &FrameReport) -> String {
             all - inliers
         );
     }
-    if out.is_empty() && is_sought(frame.alignment.status) {
+    if out.is_empty() && is_searched(frame.alignment.status) {
         out += "<p class=\"note\">Features were not needed: bitmaps and pixels were enough for the alignment. \
                 <code>hdralign inspect</code> draws the features of every frame.</p>\n";
     }

@@ -40,7 +40,7 @@ pub(crate) fn written(saved: &SavedResponse, path: &Path, miniatures: &[&Miniatu
     let encoded = saved.encode(path)?;
     let warning = match encoded.curve == saved.curve {
         true => None,
-        false => miniature::loss(miniatures, &saved.curve, &encoded.curve)?.judged(path)?,
+        false => miniature::loss(miniatures, &saved.curve, &encoded.curve)?.warning(path)?,
     };
     let mut written = write::text(path, &encoded.text)?;
     written.warnings.extend(warning);

@@ -134,8 +134,8 @@ impl Picture {
 
     /// Returns a warning about the picture, if there is one for `options`.
     pub fn warning(&self, options: &Options) -> Option<Warning> {
-        let is_sought = options.adjust.white_balance == WhiteBalance::Auto;
-        (is_sought && self.light.is_none()).then_some(Warning::NoWhite)
+        let is_recovered = options.adjust.white_balance == WhiteBalance::Auto;
+        (is_recovered && self.light.is_none()).then_some(Warning::NoWhite)
     }
 
     /// Computes the codes of complete rows of radiance, each `width` pixels long, from row `first` on.

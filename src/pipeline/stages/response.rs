@@ -45,8 +45,8 @@ pub(crate) fn find(
 ) -> Result<(Aligned, Camera, Vec<Warning>)> {
     let Aligned { bracket, alignment, region } = aligned;
     let is_tuned = options.exposures == Exposures::FineTuned;
-    let is_sought = saved.is_none() && options.response.is_sought();
-    let is_needed = is_tuned || is_sought || saved.is_some() || options.save_response.is_some();
+    let is_recovered = saved.is_none() && options.response.is_recovered();
+    let is_needed = is_tuned || is_recovered || saved.is_some() || options.save_response.is_some();
     let mut places = if is_needed { Places::of(&bracket, &alignment)? } else { Places::default() };
     let (bracket, mut warnings) =
         if is_tuned { ratios::fine_tuned(bracket, &mut places) } else { (bracket, Vec::new()) };
@@ -113,7 +113,7 @@ fn contradicted_response(
 /// Returns the evidence of local processing from `places` of `bracket`. `None` if the user gives a curve, and if
 /// frames are not aligned, because then differences between places may be due to the camera's motion.
 pub(crate) fn processing(bracket: &Bracket, places: &Places, options: &Options) -> Option<Evidence> {
-    let may_be_local = options.response.is_sought() && options.align.mode != AlignMode::None;
+    let may_be_local = options.response.is_recovered() && options.align.mode != AlignMode::None;
     let longer_side = bracket.width().max(bracket.height());
     if may_be_local { evidence(places, longer_side) } else { None }
 }

@@ -84,7 +84,7 @@ impl Loss {
     /// # Errors
     /// [`Error::ResponseFormat`] if half a stop is lost, which is also the largest contradiction between a curve and
     /// the frames.
-    pub fn judged(&self, path: &Path) -> Result<Option<Warning>> {
+    pub fn warning(&self, path: &Path) -> Result<Option<Warning>> {
         let [red, green, blue] = self.channel_stops;
         let off = format!(
             "off by {:.2} stops (root mean square of the luminance; red {red:.2}, green {green:.2}, blue {blue:.2})",
@@ -290,16 +290,16 @@ mod tests {
 
     #[test]
     fn loss_is_a_warning_from_0_01_stops_and_an_error_from_half_a_stop() {
-        let judged = |luminance_stops: f64, blue: f64| {
-            Loss { luminance_stops, channel_stops: [0.001, 0.001, blue] }.judged(Path::new("c.rsp"))
+        let warning = |luminance_stops: f64, blue: f64| {
+            Loss { luminance_stops, channel_stops: [0.001, 0.001, blue] }.warning(Path::new("c.rsp"))
         };
-        assert_eq!(judged(0.004, 0.009).unwrap(), None);
-        let found = judged(0.012, 0.34).unwrap().unwrap().to_string();
+        assert_eq!(warning(0.004, 0.009).unwrap(), None);
+        let found = warning(0.012, 0.34).unwrap().unwrap().to_string();
         assert!(
             found.contains("c.rsp") && found.contains("off by 0.01 stops") && found.contains("blue 0.34"),
             "{found}"
         );
-        let refused = judged(0.1, 0.6).unwrap_err().to_string();
+        let refused = warning(0.1, 0.6).unwrap_err().to_string();
         assert!(refused.contains("c.rsp") && refused.contains("blue 0.60") && refused.contains(".json"), "{refused}");
     }
 

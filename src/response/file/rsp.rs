@@ -109,7 +109,7 @@ fn fit(g: &[f64; CODES], degree: usize) -> Option<(Vec<f64>, f64)> {
     let polynomial = |weights: &[f64]| -> Vec<f64> {
         (0..=degree).map(|i| weights.iter().zip(&columns).map(|(w, column)| w * column[i]).sum()).collect()
     };
-    let judged = |coefficients: Vec<f64>| {
+    let rated = |coefficients: Vec<f64>| {
         let x: Vec<f64> = (0..CODES).map(|z| evaluate(&coefficients, at(z))).collect();
         if !(x[0] > 0.0 && x.windows(2).all(|w| w[0] < w[1])) {
             return None;
@@ -131,10 +131,10 @@ fn fit(g: &[f64; CODES], degree: usize) -> Option<(Vec<f64>, f64)> {
         Some(weights)
     };
     let all = (1 << (degree + 1)) - 1;
-    let unbound = free(all).and_then(|weights| judged(polynomial(&weights)));
+    let unbound = free(all).and_then(|weights| rated(polynomial(&weights)));
     unbound.or_else(|| {
         let subsets = (1..=all).filter_map(free).filter(|weights| weights.iter().all(|w| *w >= 0.0));
-        let candidates = subsets.filter_map(|weights| judged(polynomial(&weights)));
+        let candidates = subsets.filter_map(|weights| rated(polynomial(&weights)));
         candidates.min_by(|a, b| a.1.total_cmp(&b.1))
     })
 }

@@ -53,7 +53,7 @@ pub struct Found {
 }
 
 /// Makes the curve rise everywhere. Returns it with its accuracy, or the reason why it is not plausible.
-pub fn judge(samples: &[Sample], found: Found) -> Fitted<([f64; CODES], Fit)> {
+pub fn finish(samples: &[Sample], found: Found) -> Fitted<([f64; CODES], Fit)> {
     let Found { g, trust, condition, degree } = found;
     if g.iter().any(|v| !v.is_finite()) {
         return Err("the recovered curve is not finite".to_owned());
@@ -78,7 +78,7 @@ pub fn judge(samples: &[Sample], found: Found) -> Fitted<([f64; CODES], Fit)> {
         degree,
         borrowed: false,
     };
-    verdict(&curve, &fit).map(|()| (curve, fit))
+    check_plausible(&curve, &fit).map(|()| (curve, fit))
 }
 
 /// Returns the smallest and the largest value of `of` over all views.
@@ -118,7 +118,7 @@ pub fn check(samples: &[Sample]) -> Fitted<()> {
 }
 
 /// Checks that the curve is plausible for a camera.
-fn verdict(g: &[f64; CODES], fit: &Fit) -> Fitted<()> {
+fn check_plausible(g: &[f64; CODES], fit: &Fit) -> Fitted<()> {
     let contrast = stops(g[240] - g[16]);
     let (codes, rise) = FLAT;
     let flat = (16..=240 - codes).find(|&z| stops(g[z + codes] - g[z]) < rise);
@@ -272,13 +272,13 @@ mod tests {
     fn no_curve_that_is_not_finite_or_no_cameras_passes() {
         let samples = scene(400, &[-2.0, 0.0, 2.0], |x| x.sqrt());
         let n = samples.len();
-        assert!(judge(&samples, found(|_| f64::NAN, n)).unwrap_err().contains("not finite"));
-        assert!(judge(&samples, found(|z| 0.2 * z as f64, n)).unwrap_err().contains("stops from code 16"));
+        assert!(finish(&samples, found(|_| f64::NAN, n)).unwrap_err().contains("not finite"));
+        assert!(finish(&samples, found(|z| 0.2 * z as f64, n)).unwrap_err().contains("stops from code 16"));
         // The curve falls from code 110 to 200, as it does if samples contradict each other.
         let falls =
             found(|z| 2.0 * libm::log(if (110..=200).contains(&z) { 220.0 - z as f64 } else { z as f64 }.max(0.1)), n);
-        assert!(judge(&samples, falls).unwrap_err().contains("does not rise"));
-        let (g, fit) = judge(&samples, found(|z| 2.0 * libm::log((z as f64).max(0.1)), n)).unwrap();
+        assert!(finish(&samples, falls).unwrap_err().contains("does not rise"));
+        let (g, fit) = finish(&samples, found(|z| 2.0 * libm::log((z as f64).max(0.1)), n)).unwrap();
         assert!(g[MID] == 0.0 && g.windows(2).all(|w| w[0] < w[1]) && !fit.borrowed);
     }
 }

@@ -266,7 +266,7 @@ fn order(chance: &mut Chance, count: usize, mode: Mode) -> Vec<f64> {
 }
 
 struct Card {
-    beats: Vec<Beat>,
+    exposures: Vec<TimedExposure>,
     truth: Vec<Range<usize>>,
 }
 
@@ -294,7 +294,7 @@ fn card(habit: &Habit, brackets: usize, seed: u64) -> Card {
     let mut step = step(&mut chance, habit, count);
     let mut places = order(&mut chance, count, habit.mode);
     let tempo = chance.scaled(habit.gaps.0, habit.gaps.1);
-    let (mut now, mut card) = (0.0, Card { beats: Vec::new(), truth: Vec::new() });
+    let (mut now, mut card) = (0.0, Card { exposures: Vec::new(), truth: Vec::new() });
     let mut middle = metered(&mut chance, habit);
     // Thirds of a stop as recorded: wrong by up to a tenth, always the same for one exposure.
     let printed = |ev: f64| ev + 0.06 * libm::sin(libm::round(ev * 3.0) * 12.3);
@@ -304,7 +304,7 @@ fn card(habit: &Habit, brackets: usize, seed: u64) -> Card {
         *now += pause;
         let mark = if clock.marks_end { *now + time } else { *now };
         *now += time;
-        card.beats.push(Beat {
+        card.exposures.push(TimedExposure {
             at_s: Some(libm::floor(mark / clock.resolution_s) * clock.resolution_s),
             resolution_s: clock.resolution_s,
             time_s: time,
@@ -341,7 +341,7 @@ fn card(habit: &Habit, brackets: usize, seed: u64) -> Card {
                 take(&mut card, &mut now, middle, mode, place, if i == 0 { first } else { 0.15 });
             }
         }
-        let begin = card.beats.len();
+        let begin = card.exposures.len();
         let first = pause(&mut chance);
         let mut places = places.clone();
         if habit.is_to_and_fro && bracket % 2 == 1 {
@@ -355,22 +355,22 @@ fn card(habit: &Habit, brackets: usize, seed: u64) -> Card {
             let place = says_places.then_some(p * step);
             take(&mut card, &mut now, middle + p * step, habit.mode, place, if i == 0 { first } else { gap });
         }
-        card.truth.push(begin..card.beats.len());
+        card.truth.push(begin..card.exposures.len());
     }
     card
 }
 
 const RULES: Rules = Rules { frames: None, gap_s: 120.0 };
 
-fn found(beats: &[Beat]) -> Vec<Range<usize>> {
-    brackets(beats, rhythm::clock(beats), &RULES)
+fn found(exposures: &[TimedExposure]) -> Vec<Range<usize>> {
+    brackets(exposures, rhythm::clock(exposures), &RULES)
 }
 
 /// Returns the number of brackets, of those found exactly, and of found brackets that are wrong.
 fn score(habit: &Habit, cards: u64) -> (usize, usize, usize) {
     (0..cards).fold((0, 0, 0), |(all, right, wrong), seed| {
         let card = card(habit, 12, seed + 1000);
-        let found = self::found(&card.beats);
+        let found = self::found(&card.exposures);
         let hits = found.iter().filter(|range| card.truth.contains(range)).count();
         (all + card.truth.len(), right + hits, wrong + found.len() - hits)
     })
@@ -397,14 +397,14 @@ fn snapshots_are_not_brackets() {
     let (mut found, mut frames) = (0, 0);
     for _ in 0..100 {
         let (mut now, mut ev) = (0.0, -8.0);
-        let beats: Vec<Beat> = (0..100)
+        let exposures: Vec<TimedExposure> = (0..100)
             .map(|_| {
                 let pause = chance.scaled(0.5, 300.0);
                 now += pause;
                 // Photographs that are taken at once are of one scene.
                 let metered = if pause < 3.0 { ev + chance.within(-0.7, 0.7) } else { chance.within(-11.0, -4.0) };
                 ev = libm::round(3.0 * metered) / 3.0;
-                Beat {
+                TimedExposure {
                     at_s: Some(libm::floor(now)),
                     resolution_s: 1.0,
                     time_s: libm::exp2(ev),
@@ -416,8 +416,8 @@ fn snapshots_are_not_brackets() {
                 }
             })
             .collect();
-        found += self::found(&beats).len();
-        frames += beats.len();
+        found += self::found(&exposures).len();
+        frames += exposures.len();
     }
     println!("{found} brackets in {frames} snapshots");
     assert_eq!(found, 0);
@@ -427,7 +427,7 @@ fn snapshots_are_not_brackets() {
 /// another bracket.
 #[test]
 fn shifted_bracket_is_continued() {
-    let beat = |at_s: f64, ev: f64, place: f64, bias: f64| Beat {
+    let exposure = |at_s: f64, ev: f64, place: f64, bias: f64| TimedExposure {
         at_s: Some(at_s),
         resolution_s: 1.0,
         time_s: libm::exp2(ev),
@@ -438,16 +438,18 @@ fn shifted_bracket_is_continued() {
         focal_length_mm: Some(24.0),
     };
     let shifted = [
-        beat(54.0, -3.0, 0.0, -2.0),
-        beat(58.0, -4.0, -1.0, -2.0),
-        beat(60.0, -2.0, 1.0, -2.0),
-        beat(72.0, 0.0, 0.0, 1.0),
-        beat(74.0, -1.0, -1.0, 1.0),
+        exposure(54.0, -3.0, 0.0, -2.0),
+        exposure(58.0, -4.0, -1.0, -2.0),
+        exposure(60.0, -2.0, 1.0, -2.0),
+        exposure(72.0, 0.0, 0.0, 1.0),
+        exposure(74.0, -1.0, -1.0, 1.0),
     ];
     assert_eq!(self::found(&shifted), vec![0..5]);
-    let as_summed = shifted.clone().map(|beat| Beat { bias: Some(beat.bias.unwrap() + beat.place.unwrap()), ..beat });
+    let as_summed = shifted
+        .clone()
+        .map(|exposure| TimedExposure { bias: Some(exposure.bias.unwrap() + exposure.place.unwrap()), ..exposure });
     assert_eq!(self::found(&as_summed), vec![0..5]);
     // Without the compensation, it is equally likely that the second bracket was interrupted.
-    let unsaid = shifted.map(|beat| Beat { bias: None, ..beat });
+    let unsaid = shifted.map(|exposure| TimedExposure { bias: None, ..exposure });
     assert_eq!(self::found(&unsaid)[0], 0..3);
 }

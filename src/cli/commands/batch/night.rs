@@ -13,7 +13,7 @@ use hdralign::batch::find::{self, Found};
 use hdralign::batch::job::Brief;
 use hdralign::batch::plan::{Job, Kind};
 use hdralign::batch::schedule::{self, Ending, Event, Limits};
-use hdralign::batch::summary::{self, Row, Status, Summary, Verdict};
+use hdralign::batch::summary::{self, Outcome, Row, Status, Summary};
 use hdralign::error::Error;
 use hdralign::pipeline::Options;
 use hdralign::write;
@@ -105,7 +105,7 @@ impl Board {
             Ending::Done(brief) => Some(format!("{number} {}", described(&job.id, brief, true))),
             Ending::Unchanged(brief) => self.verbose.then(|| format!("{number} {}", described(&job.id, brief, false))),
             Ending::Failed(error) => Some(format!("{number} {}: failed: {error}", job.id)),
-            Ending::NotBegun => None,
+            Ending::NotStarted => None,
         };
         let is_failure = matches!(ending, Ending::Failed(_));
         let warnings = match ending {
@@ -228,12 +228,12 @@ pub fn finish(summary: &Summary, path: &Path, left_over: Option<&LeftOver>, args
     };
     crate::cli::tell(&results)?;
     let has_unreadable = left_over.is_some_and(|left_over| !left_over.unreadable.is_empty());
-    let verdict = match summary.verdict() {
-        Verdict::All if has_unreadable || files.is_err() => Verdict::Some,
-        verdict => verdict,
+    let outcome = match summary.outcome() {
+        Outcome::All if has_unreadable || files.is_err() => Outcome::Some,
+        outcome => outcome,
     };
     let is_degraded = args.work.strict && summary.counts.degraded > 0;
-    Ok(if is_degraded && verdict == Verdict::All { ExitCode::from(3) } else { exit_code(verdict) })
+    Ok(if is_degraded && outcome == Outcome::All { ExitCode::from(3) } else { exit_code(outcome) })
 }
 
 /// The first of `texts` after `label`, and how many more there are.

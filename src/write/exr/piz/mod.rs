@@ -163,7 +163,7 @@ mod tests {
     use ::exr::meta::header::Header;
 
     /// Returns a block, given as its rows by channels, as compressed by the `exr` crate.
-    fn judged(width: usize, rows: usize, words: usize, samples: &[u16]) -> Vec<u8> {
+    fn by_the_crate(width: usize, rows: usize, words: usize, samples: &[u16]) -> Vec<u8> {
         let kind = if words == 1 { SampleType::F16 } else { SampleType::F32 };
         let channels = ["B", "G", "R"].map(|name| ChannelDescription::named(name, kind)).into_iter().collect();
         let header = Header::new(Text::default(), (width, rows), channels);
@@ -189,7 +189,7 @@ mod tests {
         }
         let mut ours = b"before".to_vec();
         packer.pack(&mut ours);
-        assert!(ours[6..] == judged(width, rows, words, &samples), "{width}x{rows}, {words} words");
+        assert!(ours[6..] == by_the_crate(width, rows, words, &samples), "{width}x{rows}, {words} words");
     }
 
     /// One packer for all, so that data of one block in the next would be detected.

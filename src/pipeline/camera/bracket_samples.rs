@@ -20,7 +20,7 @@ use crate::response::samples::Places;
 use std::path::PathBuf;
 
 /// The data of a bracket that are kept, without its frames.
-pub(super) struct Seen {
+pub(super) struct BracketSamples {
     /// The file of the reference.
     pub path: PathBuf,
     pub capture: Capture,
@@ -35,9 +35,13 @@ pub(super) struct Seen {
 /// # Errors
 /// That of the first bracket that cannot be used; if such brackets are skipped, [`Error::NoResponse`] if none is
 /// left, and [`Error::Scratch`], which is not a fault of a bracket.
-pub(super) fn see(brackets: &[Vec<PathBuf>], options: &Options, watch: Watch) -> Result<(Vec<Seen>, Vec<Warning>)> {
+pub(super) fn collect(
+    brackets: &[Vec<PathBuf>],
+    options: &Options,
+    watch: Watch,
+) -> Result<(Vec<BracketSamples>, Vec<Warning>)> {
     let most = PATCHES / brackets.len().max(1);
-    let mut seen = Vec::with_capacity(brackets.len());
+    let mut collected = Vec::with_capacity(brackets.len());
     let mut found_given = 0;
     let (mut warnings, mut left_out) = (Vec::new(), Vec::new());
     for paths in brackets {
@@ -46,7 +50,7 @@ pub(super) fn see(brackets: &[Vec<PathBuf>], options: &Options, watch: Watch) ->
                 bracket.places.thin(most);
                 found_given += given;
                 warnings.extend(found);
-                seen.push(bracket);
+                collected.push(bracket);
             }
             Err(error) if options.lenient && !matches!(error, Error::Scratch { .. } | Error::Cancelled) => {
                 let path = paths.first().cloned().unwrap_or_default();
@@ -55,7 +59,7 @@ pub(super) fn see(brackets: &[Vec<PathBuf>], options: &Options, watch: Watch) ->
             Err(error) => return Err(error),
         }
     }
-    if seen.is_empty() {
+    if collected.is_empty() {
         let Some(Warning::BracketLeftOut { path, reason }) = left_out.into_iter().next() else {
             return Err(Error::TooFewFrames { given: 0 });
         };
@@ -67,13 +71,18 @@ pub(super) fn see(brackets: &[Vec<PathBuf>], options: &Options, watch: Watch) ->
         return Err(Error::Option { option: "--leave-out or --unmoved", reason });
     }
     warnings.extend(left_out);
-    warnings.extend(differing_cameras(&seen));
-    Ok((seen, warnings))
+    warnings.extend(differing_cameras(&collected));
+    Ok((collected, warnings))
 }
 
 /// Processes the bracket `paths` of `brackets`. Returns also the number of transforms given by the user for its
 /// frames, and its warnings.
-fn one(paths: &[PathBuf], brackets: usize, options: &Options, watch: Watch) -> Result<(Seen, usize, Vec<Warning>)> {
+fn one(
+    paths: &[PathBuf],
+    brackets: usize,
+    options: &Options,
+    watch: Watch,
+) -> Result<(BracketSamples, usize, Vec<Warning>)> {
     let mut own = options.pipeline.clone();
     let mut run = Run::new(&options.pipeline, watch);
     let bracket = run.load(paths, &own.aligning())?;
@@ -101,14 +110,14 @@ fn one(paths: &[PathBuf], brackets: usize, options: &Options, watch: Watch) -> R
     let Report { reference, frames, .. } = Report::new(&bracket, &alignment, alignment.overlap);
     let first = bracket.reference();
     let (path, capture) = (first.path().to_owned(), first.capture.clone());
-    let seen = Seen { path, capture, places, miniature, report: BracketReport { reference, frames } };
-    Ok((seen, own.align.given.len(), warnings))
+    let collected = BracketSamples { path, capture, places, miniature, report: BracketReport { reference, frames } };
+    Ok((collected, own.align.given.len(), warnings))
 }
 
-fn differing_cameras(seen: &[Seen]) -> Vec<Warning> {
-    let name = |bracket: &Seen| bracket.capture.camera();
-    let Some(kept) = seen.first().and_then(name) else { return Vec::new() };
-    let others = seen.iter().filter_map(|bracket| Some((bracket, name(bracket)?)));
+fn differing_cameras(collected: &[BracketSamples]) -> Vec<Warning> {
+    let name = |bracket: &BracketSamples| bracket.capture.camera();
+    let Some(kept) = collected.first().and_then(name) else { return Vec::new() };
+    let others = collected.iter().filter_map(|bracket| Some((bracket, name(bracket)?)));
     let others = others.filter(|(_, found)| *found != kept);
     others
         .map(|(bracket, found)| Warning::CamerasDiffer { path: bracket.path.clone(), found, kept: kept.clone() })
