@@ -32,8 +32,8 @@ fn radiance(data: &[u8]) {
     assert!(matches!(kind, Ok(true)), "it was read, and is said to hold no radiance: {kind:?}");
     let (width, height) = (map.pixels.width(), map.pixels.height());
     assert!(width > 0 && height > 0 && map.pixels.as_slice().len() == width * height);
-    let (mended, _) = read::repair(map);
-    assert!(mended.pixels.as_slice().as_flattened().iter().all(|v| v.is_finite() && *v >= FLOOR));
+    let (repaired, _) = read::repair(map);
+    assert!(repaired.pixels.as_slice().as_flattened().iter().all(|v| v.is_finite() && *v >= FLOOR));
     if width * height > SMALL {
         return;
     }
@@ -50,7 +50,7 @@ fn radiance(data: &[u8]) {
         assert_eq!((again.pixels.width(), again.pixels.height()), (width, height));
         assert!(again.pixels.as_slice().as_flattened().iter().all(|v| v.is_finite()), "{output:?}");
         if output.extension().is_some_and(|e| e == "exr" || e == "tif") {
-            assert!(colour.is_some() || again.pixels == mended.pixels, "floats come back to the bit: {output:?}");
+            assert!(colour.is_some() || again.pixels == repaired.pixels, "floats come back to the bit: {output:?}");
         }
     }
 }

@@ -136,10 +136,10 @@ fn merged(folder: &Folder, line: &str) -> Merged {
     assert_eq!(size, [picture.width() as usize, picture.height() as usize], "{line}");
     let radiance = map.pixels.into_vec();
     assert!(radiance.iter().flatten().all(|v| v.is_finite() && *v >= 0.0), "{line}: radiance is no light");
-    let told = run.stderr.split_whitespace().collect::<Vec<_>>().join(" ");
+    let reported = run.stderr.split_whitespace().collect::<Vec<_>>().join(" ");
     for warning in report["warnings"].as_array().expect("a list") {
         let message = warning["message"].as_str().expect("a text");
-        assert!(told.contains(message), "{line}: {message:?} is not told:\n{told}");
+        assert!(reported.contains(message), "{line}: {message:?} is not reported:\n{reported}");
     }
     Merged { report, radiance, picture }
 }

@@ -52,7 +52,7 @@ fn listed_files_are_complete_and_no_others_exist() {
         }
     }
     let text = String::from_utf8(folder.bytes("look/tables.txt")).expect("text");
-    assert!(run.stderr.contains(&text), "the tables are told as well");
+    assert!(run.stderr.contains(&text), "the tables are reported as well");
     for name in ["w2.jpg", "w3.jpg", "w4.jpg"] {
         assert_eq!(text.lines().filter(|l| l.starts_with(name)).count(), 6, "{text}");
     }

@@ -30,8 +30,8 @@ fn transforms_are_written_once_and_taken_ever_after() {
     let mut moved = saved.clone();
     moved["frames"][0]["homography"] = serde_json::json!([1.0, 0.0, 12.5, 0.0, 1.0, -7.0, 0.0, 0.0, 1.0]);
     std::fs::write(folder.at("t.json"), moved.to_string()).unwrap();
-    let believed = folder.line("align w2.jpg w3.jpg w4.jpg --transforms t.json --force --json").done();
-    assert_eq!(frame(&report(&believed.stdout), "w2.jpg")["shift_px"], serde_json::json!([12.5, -7.0]));
+    let used = folder.line("align w2.jpg w3.jpg w4.jpg --transforms t.json --force --json").done();
+    assert_eq!(frame(&report(&used.stdout), "w2.jpg")["shift_px"], serde_json::json!([12.5, -7.0]));
     assert_eq!(std::fs::read_to_string(folder.at("t.json")).unwrap(), moved.to_string());
 }
 

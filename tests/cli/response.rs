@@ -135,7 +135,7 @@ fn unusable_response_file_is_an_error_before_any_work() {
 }
 
 #[test]
-fn the_curve_of_another_camera_is_used_and_doubted() {
+fn the_curve_of_another_camera_is_used_with_a_warning() {
     let folder = Folder::with_bracket();
     let merge = "merge w2.jpg w3.jpg w4.jpg --align none --force -o a.hdr";
     folder.line(&format!("{merge} --save-response own.json")).done();
@@ -156,7 +156,7 @@ fn the_curve_of_another_camera_is_used_and_doubted() {
 }
 
 #[test]
-fn exposures_given_in_the_wrong_order_are_used_and_doubted() {
+fn exposures_given_in_the_wrong_order_are_used_with_a_warning() {
     let folder = Folder::with_bracket();
     let turned = folder.line("merge -e=2,0,-2 w2.jpg w3.jpg w4.jpg --align none -o a.hdr --json").done();
     let report = json(&turned.stdout);
@@ -233,10 +233,10 @@ fn reported_loss_of_a_polynomial_is_the_error_of_the_radiance() {
             let report = json(&folder.line(&format!("{merge} {options}")).done().stdout);
             (report["warnings"].to_string(), hdralign::read::read(&folder.at("a.exr")).expect("radiance").0)
         };
-        let (told, own) = merged("--save-response own.rsp");
+        let (reported, own) = merged("--save-response own.rsp");
         let (_, other) = merged("--response own.rsp");
         let number = |after: &str| -> f64 {
-            let rest = told.split(after).nth(1).unwrap_or_else(|| panic!("no {after:?} in {told}"));
+            let rest = reported.split(after).nth(1).unwrap_or_else(|| panic!("no {after:?} in {reported}"));
             let end = rest.find(|c: char| !(c.is_ascii_digit() || c == '.')).unwrap_or(rest.len());
             rest[..end].parse().expect("a number")
         };
@@ -249,7 +249,11 @@ fn reported_loss_of_a_polynomial_is_the_error_of_the_radiance() {
         // Of 16384 pixels; a few per cent of them dominate the sum of squares: accurate to some per cent, plus the
         // rounding to two decimals.
         for (after, is) in [("is off by ", off(&luminance)), ("blue ", off(&|p| f64::from(p[2])))] {
-            assert!((number(after) - is).abs() < 0.1 * is + 0.005, "{frames}: {after}{} told of {is}", number(after));
+            assert!(
+                (number(after) - is).abs() < 0.1 * is + 0.005,
+                "{frames}: {after}{} reported of {is}",
+                number(after)
+            );
         }
     }
 }

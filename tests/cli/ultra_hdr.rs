@@ -167,7 +167,7 @@ impl UltraHdr {
 /// stop.
 fn share_within(hdr: &UltraHdr, map: &RadianceMap) -> f64 {
     let mut ratios = Vec::new();
-    let mut told = Vec::new();
+    let mut reported = Vec::new();
     for y in 0..map.pixels.height() {
         for (x, pixel) in map.pixels.row(y).iter().enumerate() {
             for c in 0..3 {
@@ -175,7 +175,7 @@ fn share_within(hdr: &UltraHdr, map: &RadianceMap) -> f64 {
                 if (8..=250).contains(&code) && pixel[c] > 0.0 {
                     let base = srgb_to_linear(f64::from(code) / 255.0);
                     ratios.push((light.max(1e-9) / f64::from(pixel[c])).log2());
-                    told.push((light, base, f64::from(pixel[c])));
+                    reported.push((light, base, f64::from(pixel[c])));
                 }
             }
         }
@@ -183,7 +183,7 @@ fn share_within(hdr: &UltraHdr, map: &RadianceMap) -> f64 {
     ratios.sort_by(f64::total_cmp);
     let white = ratios[ratios.len() / 2];
     let (mut within, mut all) = (0.0, 0.0);
-    for (light, base, radiance) in told {
+    for (light, base, radiance) in reported {
         let wanted = radiance * white.exp2();
         let gain = ((wanted + hdr.offset) / (base + hdr.offset)).log2();
         if (hdr.least..=hdr.most).contains(&gain) && wanted <= 64.0 {

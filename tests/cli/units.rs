@@ -54,8 +54,8 @@ fn absolute_luminance_is_computed_from_exif() {
     let reference = frames.iter().find(|f| f["path"] == json["reference"]).unwrap();
     let of = |key: &str| reference[key].as_f64().unwrap();
     let expected = 87.0 / of("relative_exposure");
-    let told = json["calibration"]["camera_top_code_cd_m2"].as_f64().unwrap();
-    assert!((told / expected - 1.0).abs() < 1e-9, "{told} {expected}");
+    let reported = json["calibration"]["camera_top_code_cd_m2"].as_f64().unwrap();
+    assert!((reported / expected - 1.0).abs() < 1e-9, "{reported} {expected}");
     let corrected = report(&folder, "--absolute --calibration-factor 1.1 -o a.exr");
     let per_unit = |json: &Value| json["calibration"]["cd_m2_per_unit"].as_f64().unwrap();
     assert!((per_unit(&corrected) / per_unit(&json) - 1.1).abs() < 1e-9);

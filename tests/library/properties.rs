@@ -101,10 +101,10 @@ fn photographs() -> impl Strategy<Value = Photographs> {
 }
 
 impl Photographs {
-    /// A number that depends on the seed and on what is told, evenly in 0..1.
-    fn chance(&self, told: [u32; 3]) -> f64 {
+    /// A number that depends on the seed and on what is reported, evenly in 0..1.
+    fn chance(&self, reported: [u32; 3]) -> f64 {
         let mix = |sum: u32, v: u32| (sum ^ v).wrapping_mul(0x9E37_79B1).rotate_left(13);
-        f64::from(told.into_iter().fold(self.seed, mix) >> 8) / f64::from(1 << 24)
+        f64::from(reported.into_iter().fold(self.seed, mix) >> 8) / f64::from(1 << 24)
     }
 
     /// The code of a pixel, of 65535.

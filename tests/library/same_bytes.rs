@@ -41,7 +41,7 @@ fn results(folder: &Folder, order: [usize; FRAMES], options: &str) -> (Vec<Vec<u
     assert!(bytes.iter().all(|b| b.len() > 1000));
     let mut report: Value = serde_json::from_slice(&folder.bytes("r.json")).expect("JSON");
     report["time_s"].take();
-    OUTPUTS.iter().chain(["r.json"].iter()).for_each(|name| fs::remove_file(folder.at(name)).expect("written anew"));
+    OUTPUTS.iter().chain(["r.json"].iter()).for_each(|name| fs::remove_file(folder.at(name)).expect("written again"));
     (bytes, report)
 }
 
@@ -160,14 +160,14 @@ fn vector_instructions_do_not_change_a_byte() {
     assert_eq!(arms, of_processor(), "an arm that this processor has would go untested");
     println!("{} of {} arms: {arms:?}", arms.len(), Arm::ALL.len() - 1);
     for options in [by_default, asked_for, fine(Size::Full), fine(Size::Longest(100))] {
-        let (native, told) = on(Arm::Native, &folder, &options);
+        let (native, reported) = on(Arm::Native, &folder, &options);
         for &arm in &arms {
             let (others, other) = on(arm, &folder, &options);
             for (path, (a, b)) in options.outputs.iter().zip(native.iter().zip(&others)) {
                 let first = a.iter().zip(b).position(|(a, b)| a != b);
                 assert!(a == b, "{arm:?}: {}: {} and {} bytes, first at {first:?}", path.display(), a.len(), b.len());
             }
-            assert_eq!(told, other, "{arm:?}: the report");
+            assert_eq!(reported, other, "{arm:?}: the report");
         }
     }
 }

@@ -168,10 +168,10 @@ fn unusable_bracket_is_skipped_for_the_response_on_request() {
     assert!(error.to_string().contains("bad.jpg") && !folder.at("mixed.json").exists(), "{error}");
     let report = recover(&folder, &mixed, "mixed.json", true).unwrap();
     assert_eq!(report.brackets.len(), 3);
-    let told: Vec<&str> = report.warnings.iter().filter(|w| w.degrades).map(|w| w.message.as_str()).collect();
-    assert_eq!(told.len(), 2, "{told:?}");
-    assert!(told[0].contains("s1.jpg: its bracket is not used") && told[0].contains("bad.jpg"), "{told:?}");
-    assert!(told[1].contains("at least two photographs"), "{told:?}");
+    let reported: Vec<&str> = report.warnings.iter().filter(|w| w.degrades).map(|w| w.message.as_str()).collect();
+    assert_eq!(reported.len(), 2, "{reported:?}");
+    assert!(reported[0].contains("s1.jpg: its bracket is not used") && reported[0].contains("bad.jpg"), "{reported:?}");
+    assert!(reported[1].contains("at least two photographs"), "{reported:?}");
     assert_eq!(folder.bytes("mixed.json"), folder.bytes("good.json"), "what is left out takes no part");
 
     let error = recover(&folder, &[bad, alone], "none.json", true).unwrap_err();

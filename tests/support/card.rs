@@ -1,6 +1,6 @@
 //! A card dump as a camera leaves it, for tests and trials: brackets with all their EXIF, made from `testdata/window`.
 //!
-//! In: what was photographed (exposures, pauses, camera, size), told to a [`Card`] shot by shot. Out: JPEG files in a folder. Each
+//! In: what was photographed (exposures, pauses, camera, size), reported to a [`Card`] shot by shot. Out: JPEG files in a folder. Each
 //! bracket looks at another part of the window's room, mirrored or not, so that no two are alike; the hands' motion and the response are
 //! those of `testdata/window`. An exposure between its five is the next darker one, pushed through the known response.
 //! Cost: about 15 ms a frame of 960 px on one core, all cores together.

@@ -329,7 +329,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let registry = registry();
         let target = dir.path().join("a.exr");
-        let begun = TemporaryFile::create(registry, dir.path(), &target).unwrap();
+        let started = TemporaryFile::create(registry, dir.path(), &target).unwrap();
         let names = two(registry, dir.path());
         registry.abandon();
         assert_eq!(count(dir.path()), 0);
@@ -339,7 +339,7 @@ mod tests {
         ] {
             assert!(matches!(&error, Error::Abandoned { path } if *path == target), "{error}");
         }
-        drop((begun.stage().unwrap(), names));
+        drop((started.stage().unwrap(), names));
         assert_eq!((count(dir.path()), registry.state().open_anonymous), (0, 0));
     }
 }

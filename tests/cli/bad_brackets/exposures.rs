@@ -82,7 +82,7 @@ fn exif_wrong_by_a_stop_is_partly_corrected_with_a_warning() {
 fn exposures_of_the_user_are_used_with_a_warning() {
     let folder = Folder::empty();
     let names = window(&folder, [2, 3, 4]);
-    for (ev, is_doubted) in [
+    for (ev, is_warned) in [
         ("-2,0,2", false),
         ("2,0,-2", true),
         ("0,0,0", true),
@@ -92,7 +92,7 @@ fn exposures_of_the_user_are_used_with_a_warning() {
         ("-2,1,2", false),
     ] {
         let merged = merged(&folder, &format!("{names} -e={ev}"));
-        assert_eq!(merged.warns(true, &["-e contradict the pixels"]), is_doubted, "{ev}: {:?}", merged.warnings());
+        assert_eq!(merged.warns(true, &["-e contradict the pixels"]), is_warned, "{ev}: {:?}", merged.warnings());
         assert_eq!(merged.frame("f1.jpg")["exposure_source"], "given");
     }
 }

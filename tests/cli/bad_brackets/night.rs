@@ -79,14 +79,18 @@ fn batch_with_bad_brackets_merges_the_good_ones_and_reports_each() {
         assert!(line.contains(if is_done { ",done," } else { ",failed," }), "{line}");
         assert_eq!(files, if is_done { [1, 1] } else { [0, 0] }, "{name}");
         // At the end each is listed with its reason.
-        let told = match outcome {
+        let reported = match outcome {
             Failed => step["error"]
                 .as_str()
                 .map(|error| format!("failed     {}: {error}", step["id"].as_str().expect("an id"))),
             Doubtful => Some(format!("degraded   {}: ", step["id"].as_str().expect("an id"))),
             _ => None,
         };
-        assert!(told.iter().all(|told| run.stderr.contains(told)), "{name}: {told:?} is not in\n{}", run.stderr);
+        assert!(
+            reported.iter().all(|reported| run.stderr.contains(reported)),
+            "{name}: {reported:?} is not in\n{}",
+            run.stderr
+        );
     }
     assert!(run.stderr.contains("in/text/b.jpg: is not a JPEG"), "{}", run.stderr);
     assert_eq!(night.iter().filter(|n| n.1 != LeftOver).count(), steps.len());

@@ -9,13 +9,13 @@ fn truth() -> Merged {
     merged(&folder, &format!("{names} --reference f3.jpg"))
 }
 
-/// The same with `spoilt` frames: all are aligned correctly, to within `most` pixels in every corner.
-fn places_hold(spoilt: impl Fn(&mut RgbImage, usize), most: f64, least_confidence: f64) -> Merged {
+/// The same with `damaged` frames: all are aligned correctly, to within `most` pixels in every corner.
+fn places_hold(damaged: impl Fn(&mut RgbImage, usize), most: f64, least_confidence: f64) -> Merged {
     let folder = Folder::empty();
     let frames: Vec<RgbImage> = (2..=4)
         .map(|i| {
             let mut picture = frame(i);
-            spoilt(&mut picture, i);
+            damaged(&mut picture, i);
             picture
         })
         .collect();
@@ -96,7 +96,7 @@ fn half_black_frame_does_not_affect_the_result() {
 /// A very noisy night: aligned within three pixels in the farthest corner, or rejected; never wrong with high
 /// confidence.
 #[test]
-fn a_noisy_night_is_placed_or_doubted() {
+fn a_noisy_night_is_aligned_or_uncertain() {
     for most in [10.0, 25.0, 60.0] {
         let folder = Folder::empty();
         let frames: Vec<RgbImage> = (2..=4).map(|i| Random(i as u64).noisy(&times(&frame(i), 0.3), most)).collect();

@@ -21,8 +21,9 @@ fn smallest_pictures_are_merged_without_alignment() {
         let placed = ["f1.jpg", "f2.jpg"].map(|file| merged.status(file).to_owned());
         assert!(placed.iter().all(|status| status != "rejected"), "{width}x{height}: {placed:?}");
         if merged.confidence("f1.jpg").min(merged.confidence("f2.jpg")) < 0.5 {
-            let told = merged.warns(true, &["enough detail to be aligned"]) || merged.warns(true, &["low confidence"]);
-            assert!(told, "{width}x{height}: {:?}", merged.warnings());
+            let reported =
+                merged.warns(true, &["enough detail to be aligned"]) || merged.warns(true, &["low confidence"]);
+            assert!(reported, "{width}x{height}: {:?}", merged.warnings());
         }
     }
 }

@@ -132,10 +132,10 @@ fn a_batch_on_a_full_disk_stops_and_is_taken_up_again() {
     );
     // Each bracket has about 110 kB.
     let run = on_disk(&folder, "400k", &script);
-    let told: Vec<&str> = run.stdout.split_whitespace().filter(|word| word.parse::<u32>().is_ok()).collect();
+    let reported: Vec<&str> = run.stdout.split_whitespace().filter(|word| word.parse::<u32>().is_ok()).collect();
     let first = String::from_utf8_lossy(&folder.bytes("first")).into_owned();
-    let done: usize = told[2].parse().expect("a number");
-    assert!((told[0], told[1], told[3]) == ("3", "0", "0") && (1..8).contains(&done), "{run:?} {first}");
+    let done: usize = reported[2].parse().expect("a number");
+    assert!((reported[0], reported[1], reported[3]) == ("3", "0", "0") && (1..8).contains(&done), "{run:?} {first}");
     assert_eq!(first.matches("the disk is full, so no further bracket is started").count(), 1, "{first}");
     // One job, and the thread that renames files: two may have been in progress.
     assert!((1..=3).contains(&first.matches("failed: ").count()), "{first}");

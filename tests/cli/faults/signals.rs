@@ -141,8 +141,8 @@ fn second_signal_stops_a_batch_at_once() {
     let end = (0..10).find_map(|_| {
         let _ = fs::remove_dir_all(folder.at("out"));
         let mut child = begin(&folder, "batch in -d out -q --jobs 1 --threads 1");
-        let has_begun = || fs::read_dir(folder.at("out")).is_ok_and(|entries| entries.count() > 1);
-        while !has_begun() && child.try_wait().expect("its state").is_none() {
+        let has_started = || fs::read_dir(folder.at("out")).is_ok_and(|entries| entries.count() > 1);
+        while !has_started() && child.try_wait().expect("its state").is_none() {
             std::thread::sleep(Duration::from_millis(2));
         }
         send("TERM", &mut child);

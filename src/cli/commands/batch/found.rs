@@ -198,7 +198,8 @@ struct BracketJson {
     set: Option<usize>,
     photographs: Vec<String>,
     relative_exposures_ev: Vec<Option<f64>>,
-    begun: Option<String>,
+    #[serde(rename = "begun")] // plain-english: allow
+    start: Option<String>,
     lasts_s: Option<f64>,
     camera: Option<String>,
     lens: Option<String>,
@@ -216,7 +217,7 @@ pub fn json(found: &Found, jobs: &[Job]) -> String {
             set: job.set,
             photographs: bracket.photographs.iter().map(|s| s.path.to_string_lossy().into_owned()).collect(),
             relative_exposures_ev: evs(bracket),
-            begun: start(bracket),
+            start: start(bracket),
             lasts_s: lasts_s(bracket),
             camera: header.and_then(|h| h.camera.clone()),
             lens: header.and_then(|h| h.lens.clone()),

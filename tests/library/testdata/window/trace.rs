@@ -171,7 +171,7 @@ fn sample(scene: &Scene, mut o: V3, mut d: V3, s: &mut Sampler) -> Sample {
                 d = above(s.cone(bounce.unit(), rough), p.normal);
             }
             Finish::Glass => {
-                // Entering or leaving is told by which way the mesh's own normal points; bodies are closed.
+                // Entering or leaving is reported by which way the mesh's own normal points; bodies are closed.
                 let t = &scene.bvh.triangles[hit.triangle as usize];
                 let [a, b, c] = t.corners;
                 let outward = a.normal * (1.0 - hit.u - hit.v) + b.normal * hit.u + c.normal * hit.v;
