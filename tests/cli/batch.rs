@@ -117,7 +117,7 @@ fn missing_brackets_are_explained() {
     nothing("batch in -d out", "--by-folder");
     nothing("batch nowhere", "nowhere");
     assert_eq!(folder.line("batch --name x").code, 2);
-    // Told what belongs together, it is merged.
+    // If the user groups the photographs, they are merged.
     folder.line("batch in -d out --by-folder -q").done();
     assert_eq!(counts(&folder), [1, 0, 0, 0]);
 }
