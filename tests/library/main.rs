@@ -1,4 +1,5 @@
-//! The library, through its public functions, and what holds for the repository as a whole: layers, licences, test data.
+//! Tests of the library through its public functions, and of the repository as a whole: layers, licences, language,
+//! test data.
 
 #[path = "../support/mod.rs"]
 mod support;

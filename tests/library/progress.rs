@@ -1,4 +1,4 @@
-//! Progress: the stages that a run announces to its caller, who may cancel it.
+//! Progress: the stages that a run reports to its caller, who may cancel it.
 
 use crate::support::{Folder, jpeg};
 use hdralign::align::{AlignMode, AlignOptions};

@@ -1,4 +1,4 @@
-//! Properties that hold of any small bracket, any options, any radiance: seeded, so that every run tries the same.
+//! Properties of any small bracket, any options and any radiance. Seeded, so that every run tries the same values.
 //!
 //! `PROPTEST_CASES=5000 cargo test --test library properties` tries more of them.
 
@@ -35,7 +35,7 @@ use std::cell::Cell;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Tries `property` on so many values of `strategy`, the same in every run.
+/// Tests `property` with so many values of `strategy`, the same in every run.
 fn holds<S: Strategy>(cases: u32, strategy: S, property: impl Fn(S::Value) -> TestCaseResult) {
     let asked = std::env::var("PROPTEST_CASES").ok().and_then(|text| text.parse().ok());
     let config = ProptestConfig {
@@ -50,25 +50,25 @@ fn holds<S: Strategy>(cases: u32, strategy: S, property: impl Fn(S::Value) -> Te
     }
 }
 
-/// What the frames of a bracket show.
+/// The content of the frames of a bracket.
 #[derive(Debug, Clone, Copy)]
 enum Content {
-    /// Light that grows from one corner to the other, with blots, and moves a little from frame to frame.
+    /// Light that increases from one corner to the other, with spots, and moves a little from frame to frame.
     Scene,
-    /// Codes by chance, others in each frame.
+    /// Random codes, different in each frame.
     Noise,
     /// One code everywhere.
     Flat(u16),
-    /// Black and white by turns.
+    /// Alternating black and white pixels.
     Checkerboard,
 }
 
-/// A bracket as it may come.
+/// A random bracket.
 #[derive(Debug, Clone)]
 struct Photographs {
     size: (u32, u32),
     content: Content,
-    /// Exposures in EV; none leaves them to be estimated.
+    /// Exposures in EV; `None` to have them estimated.
     ev: Option<Vec<f64>>,
     frames: usize,
     seed: u32,
@@ -101,7 +101,7 @@ fn photographs() -> impl Strategy<Value = Photographs> {
 }
 
 impl Photographs {
-    /// A number that depends on the seed and on what is reported, evenly in 0..1.
+    /// Returns a pseudo-random number in 0..1 that depends on the seed and the arguments.
     fn chance(&self, reported: [u32; 3]) -> f64 {
         let mix = |sum: u32, v: u32| (sum ^ v).wrapping_mul(0x9E37_79B1).rotate_left(13);
         f64::from(reported.into_iter().fold(self.seed, mix) >> 8) / f64::from(1 << 24)
@@ -175,7 +175,7 @@ fn writing() -> impl Strategy<Value = write::Options> {
         })
 }
 
-/// Pictures that a `.jpg` can be too.
+/// Picture options that `.jpg` supports.
 fn pictures() -> impl Strategy<Value = picture::Options> {
     let sizes = vec![Size::Full, Size::Longest(20), Size::Percent(37.0), Size::Percent(99.0)];
     (select(vec![Colours::Srgb, Colours::DisplayP3]), select(sizes)).prop_map(|(colours, size)| picture::Options {
@@ -227,7 +227,7 @@ fn options() -> impl Strategy<Value = Options> {
         )
 }
 
-/// What a report says of frames and light is in its range.
+/// Checks that values in the report are in their ranges.
 fn sound(report: &Report) -> TestCaseResult {
     let json: serde_json::Value =
         serde_json::from_str(&report.to_json()).map_err(|e| TestCaseError::fail(e.to_string()))?;
@@ -241,7 +241,7 @@ fn sound(report: &Report) -> TestCaseResult {
     Ok(())
 }
 
-/// Whether codes mean more light, the higher they are.
+/// Checks that a higher code means more light.
 fn rises(curve: &ResponseCurve) -> TestCaseResult {
     for c in 0..3 {
         let (g, x) = (curve.ln_exposure(c), curve.exposures(c));
@@ -251,7 +251,7 @@ fn rises(curve: &ResponseCurve) -> TestCaseResult {
     Ok(())
 }
 
-/// The bytes of all results but the report's times.
+/// Returns the bytes of all results, and the report without times.
 fn results(folder: &Path, names: &[&str], report: &Report) -> Vec<Vec<u8>> {
     let mut json: serde_json::Value = serde_json::from_str(&report.to_json()).expect("JSON");
     json["time_s"].take();
@@ -305,7 +305,7 @@ fn any_bracket_gives_finite_radiance_or_a_message_and_the_same_bytes_twice() {
     assert!(4 * merged > refused, "{merged} merged, {refused} refused: this shows little");
 }
 
-/// Any number that a radiance may be: over sixty decades, black, and the ends of what floats hold.
+/// Any radiance value: over sixty decades, black, and the extremes of floats.
 fn light() -> impl Strategy<Value = f32> {
     prop_oneof![
         8 => (-30.0..30.0f32).prop_map(|e| 10f32.powf(e)),
@@ -327,7 +327,7 @@ fn radiance() -> impl Strategy<Value = RadianceMap> {
     })
 }
 
-/// Writes `map` to `name`, and gives it as it is read again, and what was warned of.
+/// Writes `map` to `name`. Returns it as it is read again, and the number of warnings.
 fn there_and_back(folder: &Path, name: &str, map: &RadianceMap, options: &write::Options) -> (RadianceMap, usize) {
     let path = folder.join(name);
     let display = DisplayImage { pixels: Plane::filled(map.pixels.width(), map.pixels.height(), [0; 3]) };
@@ -338,7 +338,7 @@ fn there_and_back(folder: &Path, name: &str, map: &RadianceMap, options: &write:
     (read(&path).expect("what was written").0, warnings)
 }
 
-/// The most that RGBE holds: 255 of 256 parts of 2^127.
+/// Largest value of RGBE: 255 of 256 parts of 2^127.
 const MOST_RGBE: f32 = 255.0 / 256.0 * f32::from_bits((127 + 127) << 23);
 
 #[test]
@@ -361,7 +361,7 @@ fn files_are_read_back_within_the_precision_of_their_format() {
         let mut over = false;
         for (v, half) in map.pixels.as_slice().as_flattened().iter().zip(back.pixels.as_slice().as_flattened()) {
             over |= *v > 65504.0;
-            // Half of the last of 11 bits; below 2^-14 half of 2^-24, but that nothing but black becomes it.
+            // Half of the last of 11 bits; below 2^-14 half of 2^-24, except that only black becomes 0.
             let off = (v.min(65504.0) - half).abs();
             prop_assert!(off <= v * (1.0 / 2048.0) || off <= 6e-8, "{v} as {half}");
             prop_assert_eq!(*half == 0.0, *v == 0.0);
@@ -375,7 +375,8 @@ fn files_are_read_back_within_the_precision_of_their_format() {
             let most = pixel.iter().copied().fold(0.0, f32::max);
             over |= most > MOST_RGBE;
             for (v, stored) in pixel.iter().zip(stored) {
-                // A mantissa of 8 bits of the greatest, of which the first is set: a step is up to 1/128 of that, a value in its middle.
+                // A mantissa has 8 bits relative to the largest component, and its first bit is set: a step is up to
+                // 1/128 of it, and a value is in the middle.
                 let off = (v.min(MOST_RGBE) - stored).abs();
                 prop_assert!(off <= most * (1.0 / 255.0) || most < 1e-37, "{pixel:?} as {stored}");
             }
@@ -399,7 +400,7 @@ fn any_radiance_gives_a_picture_the_same_on_any_number_of_threads() {
     let pools = [1, 3].map(|n| rayon::ThreadPoolBuilder::new().num_threads(n).build().expect("threads"));
     holds(200, (radiance(), operator()), |(map, operator)| {
         let size = (map.pixels.width(), map.pixels.height());
-        // As `tonemap` does: zeros are the floor.
+        // As in `tonemap`: zeros become the floor.
         let (map, _) = hdralign::read::repair(map);
         let [one, three] = [0, 1].map(|i| pools[i].install(|| tonemap::tonemap(&map, None, &operator)));
         prop_assert_eq!((one.pixels.width(), one.pixels.height()), size);
@@ -424,7 +425,7 @@ fn file_compared_with_itself_is_equal() {
             prop_assert!(compared.is_same() && compared.bytes_equal, "{}: {}", name, compared.reason);
             let json: serde_json::Value = serde_json::from_str(&compared.to_json()).expect("JSON");
             prop_assert_eq!(&json["verdict"], "same");
-            // Of another file of the same pixels, too: it has other bytes where it is packed otherwise.
+            // Also for another file with the same pixels: its bytes differ if it is compressed in another way.
             let copy = dir.path().join(format!("copy-{name}"));
             fs::copy(&path, &copy).expect("a copy");
             let compared = compare::files(&path, &copy, &compare::Options::default()).expect("comparable");
@@ -434,7 +435,7 @@ fn file_compared_with_itself_is_equal() {
     });
 }
 
-/// Numbers that a file of a response may hold: rising ones, flat ones, and those that are none.
+/// Numbers in a response file: increasing, constant and invalid ones.
 fn responses() -> impl Strategy<Value = [Vec<f64>; 3]> {
     let step = prop_oneof![
         6 => 0.0..0.1f64,
@@ -502,7 +503,7 @@ fn a_response_that_is_read_rises_or_is_refused() {
     assert!(4 * used > refused && 4 * refused > used, "{used} used, {refused} refused");
 }
 
-/// A curve of any unit, however steep, merges to finite radiance under every weight.
+/// A curve in any unit, however steep, merges to finite radiance with every weight.
 #[test]
 fn any_curve_and_any_exposures_give_finite_radiance() {
     let weights = select(vec![Weight::Hat, Weight::Gaussian, Weight::MannPicard, Weight::Noise, Weight::Uniform]);

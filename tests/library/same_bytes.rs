@@ -1,4 +1,4 @@
-//! The same bytes for the same photographs, on any number of threads, in any order and by any instructions.
+//! The same bytes for the same photographs, on any number of threads, in any order and with any instruction set.
 
 use crate::support::{FRAMES, Folder, jpeg, shrink, window};
 use hdralign::bracket::colour::Space;
@@ -19,10 +19,10 @@ use serde_json::Value;
 use std::fs;
 use std::path::PathBuf;
 
-/// Every format that is written, and the response.
+/// Every output format, and the response.
 const OUTPUTS: [&str; 5] = ["a.exr", "a.hdr", "a.tif", "a.png", "response.json"];
 
-/// At half size (600 x 400 pixels: seven bands of rows, the last of them short), so that each run takes about a second.
+/// At half size (600 x 400 pixels: seven bands of rows, the last one short), so that each run takes about a second.
 fn folder() -> Folder {
     let folder = Folder::empty();
     for i in 1..=FRAMES {
@@ -32,7 +32,7 @@ fn folder() -> Folder {
     folder
 }
 
-/// The bytes of all outputs, and the report without what is a clock's.
+/// Returns the bytes of all outputs, and the report without times.
 fn results(folder: &Folder, order: [usize; FRAMES], options: &str) -> (Vec<Vec<u8>>, Value) {
     let images = order.map(|i| format!("w{i}.jpg")).join(" ");
     let outputs = "-o a.exr -o a.hdr -o a.tif -o a.png -o a.jpg --save-response response.json";
@@ -63,7 +63,7 @@ fn neither_threads_nor_the_order_of_the_photographs_change_a_byte() {
     assert_same("another order", &one, &results(&folder, [4, 1, 5, 3, 2], "--threads 3"));
 }
 
-/// Features and their matching run only where bitmaps leave a doubt: here they must.
+/// Features and their matching run only if bitmaps are not certain: here they are needed.
 #[test]
 fn features_do_not_depend_on_threads_or_order() {
     let folder = folder();
@@ -78,7 +78,8 @@ fn features_do_not_depend_on_threads_or_order() {
     assert_same("7 threads in another order", &one, &other);
 }
 
-/// What is asked for by options only: ghosts and flare, noise weights, another model, another colour space, units, encodings.
+/// Parts that run only on request: deghosting and flare, noise weights, another model, another colour space, units,
+/// encodings.
 #[test]
 fn results_of_options_do_not_depend_on_threads_or_order() {
     let folder = folder();
@@ -91,7 +92,7 @@ fn results_of_options_do_not_depend_on_threads_or_order() {
     assert_same("7 threads in another order", &one, &other);
 }
 
-/// In so little that all frames are on disk, and the radiance in slabs of the least height.
+/// With so little memory that all frames are on disk, and the radiance in slabs of the smallest height.
 #[test]
 fn little_memory_does_not_change_a_byte() {
     let folder = folder();
@@ -105,8 +106,8 @@ fn little_memory_does_not_change_a_byte() {
     assert!(folder.listing().iter().all(|(name, _)| name.ends_with(".jpg")), "nothing is left behind");
 }
 
-/// The files and the report that `options` give on `arm`. The choice is the process's: of the tests in this file only one runs the library
-/// in it, the others start the program.
+/// Returns the files and the report for `options` on `arm`. The choice is global in the process: only one test in
+/// this file runs the library in it, the others start the program.
 fn on(arm: Arm, folder: &Folder, options: &Options) -> (Vec<Vec<u8>>, Value) {
     assert!(simd::choose(arm));
     let images: Vec<PathBuf> = (1..=FRAMES).map(|i| folder.at(format!("w{i}.jpg"))).collect();
@@ -172,7 +173,7 @@ fn vector_instructions_do_not_change_a_byte() {
     }
 }
 
-/// The arms that the standard library says this processor has: it does not ask pulp.
+/// Returns the instruction sets of this processor by the standard library, independent of pulp.
 fn of_processor() -> Vec<Arm> {
     let mut arms = Vec::new();
     #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]

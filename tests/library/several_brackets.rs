@@ -14,7 +14,7 @@ use std::path::PathBuf;
 
 const SIZE: (u32, u32) = (160, 120);
 
-/// t ISO / N^2 of frame `i`, as its EXIF has it: from 1/512 s by two stops, f/8, ISO 100.
+/// t ISO / N^2 of frame `i`, as in its EXIF: from 1/512 s in steps of two stops, f/8, ISO 100.
 fn exposure(i: usize) -> f64 {
     f64::powi(4.0, i as i32 - 1) / 512.0 * 100.0 / 64.0
 }
@@ -53,12 +53,12 @@ fn options(unit_exposure: Option<f64>) -> Options {
     }
 }
 
-/// The median ratio of their greens over the pixels that frame 3, which both have, shows best.
+/// Median ratio of their greens over the pixels that are well exposed in frame 3, which both have.
 fn ratio(a: &Outcome, b: &Outcome) -> f64 {
     let mut ratios = Vec::new();
     for y in 0..SIZE.1 {
         for x in 0..SIZE.0 {
-            // By the sRGB curve codes of 63 to 188.
+            // Codes 63 to 188 of the sRGB curve.
             if (0.05..0.5).contains(&(scene(x, y) * exposure(3))) {
                 let at = |o: &Outcome| f64::from(o.radiance.pixels.at(x as usize, y as usize)[1]);
                 ratios.push(at(b) / at(a));
@@ -80,8 +80,8 @@ fn normalised_brackets_have_the_same_unit() {
         (radiance.reference_exposure, radiance.unit_exposure_s)
     };
     assert_eq!(unit_of(&short), (exposure(2), Some(exposure(2))));
-    // A code is rounded, and coded as JPEG with steps of 2: a pixel is within one code or 3 %, and the median over thousands of pixels, whose
-    // errors are of either sign, within 1 %.
+    // Codes are rounded, and coded as JPEG with steps of 2: a pixel is within one code or 3 %, and the median over
+    // thousands of pixels with errors of either sign is within 1 %.
     let own = ratio(&short, &long);
     assert!((own / (exposure(4) / exposure(2)) - 1.0).abs() < 0.01, "{own}");
 
@@ -91,12 +91,12 @@ fn normalised_brackets_have_the_same_unit() {
     assert!((common - 1.0).abs() < 0.01, "{common}");
     assert_eq!(unit_of(&short_in_unit), (exposure(2), Some(unit)));
     assert_eq!(unit_of(&long_in_unit), (exposure(4), Some(unit)));
-    // Of one bracket it is the same light in another unit: two roundings to a float of 2^-24 each.
+    // A single bracket has the same light in another unit: two roundings to a float of 2^-24 each.
     let factor = unit / exposure(2);
     for (a, b) in short.radiance.pixels.as_slice().iter().zip(short_in_unit.radiance.pixels.as_slice()) {
         assert!((0..3).all(|c| (f64::from(b[c]) / (f64::from(a[c]) * factor) - 1.0).abs() < 1.2e-7), "{a:?} {b:?}");
     }
-    // The unit is that at which radiance 1 is the middle code, 0.2158 of the top by the sRGB curve, as the scene has it.
+    // In this unit radiance 1 is the middle code, 0.2158 of the top by the sRGB curve, as in the scene.
     let (x, y) = (0..SIZE.0).map(|x| (x, 5)).find(|&(x, y)| (0.1..0.3).contains(&(scene(x, y) * exposure(3)))).unwrap();
     let light = f64::from(long_in_unit.radiance.pixels.at(x as usize, y as usize)[1]) * 0.2158 / unit;
     assert!((light / scene(x, y) - 1.0).abs() < 0.03, "{light} {}", scene(x, y));
@@ -141,7 +141,7 @@ fn absolute_files_state_their_unit_and_other_formats_are_rejected() {
     assert!(json["radiance"]["unit_exposure_s"].is_null() && json["radiance"]["reference_exposure"].is_number());
 }
 
-/// The response of `brackets`, saved as `name`.
+/// Returns the response of `brackets`, saved as `name`.
 fn recover(
     folder: &Folder,
     brackets: &[Vec<PathBuf>],

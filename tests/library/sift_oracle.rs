@@ -1,11 +1,11 @@
-//! Our SIFT against OpenCV's, an independent implementation, on a picture that both were given (`tests/fixtures/README.md`).
+//! Our SIFT compared with OpenCV's, an independent implementation, on the same picture (`tests/fixtures/README.md`).
 
 use hdralign::align::features::sift::{SiftOptions, detect};
 use hdralign::align::features::{Descriptor, Keypoint};
 use hdralign::plane::Plane;
 use std::path::Path;
 
-/// One keypoint of OpenCV's, in our units.
+/// A keypoint of OpenCV, in our units.
 struct Theirs {
     point: Keypoint,
     descriptor: Option<Descriptor>,
@@ -37,7 +37,7 @@ fn theirs() -> Vec<Theirs> {
         .collect()
 }
 
-/// Where OpenCV keeps our entry `i`: the same cell, but its directions run from +y towards +x.
+/// Position of our entry `i` in OpenCV's descriptor: the same cell, but its directions run from +y towards +x.
 fn permuted(i: usize) -> usize {
     i / 8 * 8 + (8 - i % 8) % 8
 }
@@ -91,7 +91,8 @@ fn both_find_the_same_places_scales_and_directions() {
     assert!(theirs.len() > 200);
     assert!(recall.0 > 0.85 && recall.1 > 0.85, "{recall:?}");
     assert!(share(directed, theirs_found) > 0.9);
-    // Both fit the same quadratic to nearly the same numbers; a wrong convention would show as a quarter of a pixel or more.
+    // Both fit the same quadratic with nearly the same result; a wrong convention would differ by a quarter of a
+    // pixel or more.
     assert!(median < 0.1 && mean(|d| d.1).abs() < 0.1 && mean(|d| d.2).abs() < 0.1);
 }
 
@@ -103,7 +104,7 @@ fn descriptors_of_the_same_places_find_each_other() {
     let distance = |a: &Descriptor, b: &Descriptor| -> i64 {
         a.iter().zip(b).map(|(p, q)| (i64::from(*p) - i64::from(*q)).pow(2)).sum()
     };
-    // Theirs are some of all, ours are all: only those of theirs that we found choose, and what is mutual is taken.
+    // OpenCV returns a part of all keypoints, we return all: only those that both found are matched, mutually.
     let common: Vec<&(Keypoint, Descriptor)> =
         theirs.iter().filter(|t| ours.keypoints.iter().any(|p| same_place(p, &t.0) && turn(p, &t.0) < 10.0)).collect();
     let (mut right, mut matched, mut close) = (0, 0, 0);
@@ -119,6 +120,7 @@ fn descriptors_of_the_same_places_find_each_other() {
     println!("{} in common, {matched} mutual, {right} right, {close} within 100 of 512", common.len());
     assert!(common.len() > 60);
     assert!(share(matched, common.len()) > 0.9 && share(right, matched) > 0.9);
-    // The same layout, not one that merely distinguishes: two that have nothing in common are 512 sqrt(2) apart.
+    // The same layout, not only a distinctive one: the distance of two descriptors without common entries is sqrt(2)
+    // 512.
     assert!(share(close, matched) > 0.8);
 }

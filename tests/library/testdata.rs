@@ -1,10 +1,10 @@
-//! The project's own bracket, `testdata/window/`: the program that renders it, and tests that the two agree.
+//! The project's own bracket, `testdata/window/`: the program that renders it, and tests that both agree.
 //!
-//! To render it all again (a few minutes on two cores; `testdata/window/README.md` says more):
+//! To render it again (a few minutes on two cores; see `testdata/window/README.md`):
 //!
-//!     cargo test --release --test library -- --ignored render_the_bracket
+//! cargo test --release --test library -- --ignored render_the_bracket
 //!
-//! `WINDOW_PREVIEW=scale,samples` renders only a picture to look at, `target/window-preview.png`, while the scene is
+//! `WINDOW_PREVIEW=scale,samples` renders only a picture for viewing, `target/window-preview.png`, while the scene is
 //! being changed.
 
 mod window;
@@ -21,7 +21,7 @@ use window::trace::{View, render};
 use window::truth;
 use window::vec3::V3;
 
-/// Light paths for each pixel of the large picture; the denoiser makes up for there being so few.
+/// Light paths per pixel of the large picture; the denoiser allows for so few.
 const SAMPLES: u32 = 14;
 
 /// The large picture reaches this part of a frame beyond it, on every side.
@@ -39,7 +39,7 @@ fn view(scale: f64, margin: f64, samples: u32) -> View {
     }
 }
 
-/// A plain tone curve, for previews only: local detail and the eye's logarithm are other people's work.
+/// A simple tone curve, only for previews.
 fn preview(pixels: &[V3], width: usize, path: &std::path::Path) {
     let show = |l: f32| {
         let x = l / 260.0;
@@ -49,7 +49,7 @@ fn preview(pixels: &[V3], width: usize, path: &std::path::Path) {
     let bytes: Vec<u8> = pixels
         .iter()
         .flat_map(|p| {
-            // Compressed by luminance, so that colours survive.
+            // The luminance is compressed, so that colours are kept.
             let l = p.luminance().max(1e-6);
             let k = (l / 120.0).powf(-0.42);
             [show(p.x * k), show(p.y * k), show(p.z * k)]
@@ -106,7 +106,7 @@ fn shipped_truth() -> Value {
     serde_json::from_slice(&shipped("truth.json")).expect("truth.json")
 }
 
-/// Equal but for the last digits of numbers, which another platform's sines may change.
+/// Checks that values are equal except for the last digits of numbers, which depend on the sines of the platform.
 fn assert_same(a: &Value, b: &Value, place: &str) {
     match (a, b) {
         (Value::Number(x), Value::Number(y)) => {
@@ -179,12 +179,12 @@ fn the_response_is_monotone_and_its_inverse_is_its_inverse() {
     assert_eq!((camera::response(0.0), camera::response(1.0)), (0.0, 1.0));
 }
 
-/// What fell on the sensor, through the camera's model, is what the frames hold.
+/// The frames contain the light on the sensor, transformed by the camera model.
 ///
-/// Where the truth is flat, the quarter-size truth knows what each pixel saw. Over 5 x 5 pixels of a frame the noise of
-/// about 2 values and JPEG's of about 1 come down to less than 1; the truth's own RGBE step is 1/256 at worst, which is
-/// below half a value; what is not quite flat adds as much. A response that has changed shows as several values. Where
-/// the truth has texture, looking a few pixels beside the stated place must fit worse than looking there.
+/// Where the truth is uniform, the quarter-size truth gives what each pixel saw. Over 5 x 5 pixels of a frame the
+/// noise of about 2 values and that of JPEG of about 1 average to less than 1; the RGBE step of the truth is at most
+/// 1/256, which is below half a value; variations inside a block add as much. A changed response would differ by
+/// several values. Where the truth has texture, a position a few pixels beside the stated one must fit worse.
 #[test]
 fn frames_are_the_truth_through_the_camera() {
     let (truth, w) = truth::read_hdr(&shipped("truth.hdr"));
@@ -229,7 +229,8 @@ fn frames_are_the_truth_through_the_camera() {
     }
 }
 
-/// The scene, rendered very small without denoising, is the shipped truth: a changed lamp, wall or chair shows.
+/// The scene, rendered very small without denoising, matches the stored truth: a changed lamp, wall or chair would be
+/// detected.
 #[test]
 fn the_scene_still_renders_to_the_truth() {
     let (truth, w) = truth::read_hdr(&shipped("truth.hdr"));

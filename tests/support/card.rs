@@ -1,9 +1,9 @@
-//! A card dump as a camera leaves it, for tests and trials: brackets with all their EXIF, made from `testdata/window`.
+//! A simulated memory card, for tests and trials: brackets with all their EXIF, made from `testdata/window`.
 //!
-//! In: what was photographed (exposures, pauses, camera, size), reported to a [`Card`] shot by shot. Out: JPEG files in a folder. Each
-//! bracket looks at another part of the window's room, mirrored or not, so that no two are alike; the hands' motion and the response are
-//! those of `testdata/window`. An exposure between its five is the next darker one, pushed through the known response.
-//! Cost: about 15 ms a frame of 960 px on one core, all cores together.
+//! In: what is photographed (exposures, pauses, camera, size), added to a [`Card`] shot by shot. Out: JPEG files in a
+//! folder. Each bracket shows another part of the window's room, mirrored or not, so that no two are equal; motion
+//! and response are those of `testdata/window`. An exposure between its five is made from the next darker one with
+//! the known response. Cost: some ms per shot.
 
 #![allow(dead_code, reason = "each test program uses a part of it")]
 
@@ -27,10 +27,11 @@ const DAY: u64 = 1_789_776_000;
 /// The photographs of `testdata/window`, darkest first: EV relative to 1/32 s.
 const WINDOW_EV: [f64; 5] = [-4.0, -2.0, 0.0, 2.0, 4.0];
 
-/// Least part of the window's width that a bracket looks at: below it there is little but wall.
+/// Smallest fraction of the window's width that a bracket shows; smaller parts would be mostly wall.
 const LEAST_PART: f64 = 0.7;
 
-/// Exposure times as cameras print them, one stop apart, from 1/4000 s to 30 s; the eighth is the nominal 1/30 s of 0 EV.
+/// Exposure times as recorded by cameras, one stop apart, from 1/4000 s to 30 s; the eighth is the nominal 1/30 s of
+/// 0 EV.
 const PRINTED: [(u32, u32); 18] = [
     (1, 4000),
     (1, 2000),
@@ -53,7 +54,7 @@ const PRINTED: [(u32, u32); 18] = [
 ];
 const PRINTED_ZERO: i32 = 7;
 
-/// Who took it: what a body writes into each file.
+/// The camera: what it writes into each file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
     pub make: String,
@@ -63,9 +64,9 @@ pub struct Camera {
     pub f_number: f64,
     pub iso: u16,
     pub focal_length_mm: u32,
-    /// Whether its clock is written to the hundredth of a second or, as old bodies do, to the second.
+    /// Whether its clock is recorded to hundredths of a second or, as in old cameras, to seconds.
     pub has_sub_seconds: bool,
-    /// From the end of an exposure to the beginning of the next one in a bracket, in ms.
+    /// From the end of an exposure to the start of the next one in a bracket, in ms.
     pub between_ms: u64,
 }
 
@@ -85,42 +86,42 @@ impl Default for Camera {
     }
 }
 
-/// One press or one frame of a bracket.
+/// A shot: a single photograph or one frame of a bracket.
 #[derive(Clone, Debug)]
 pub struct Shot {
     /// Path in the card's folder.
     pub name: PathBuf,
     pub camera: Camera,
-    /// What it looks at: shots of one view are frames of one bracket.
+    /// The view: shots of one view are frames of one bracket.
     pub view: u64,
-    /// Exposure relative to 1/32 s at the camera's own f-number and ISO; from -4 on. It sets the time.
+    /// Exposure relative to 1/32 s at the camera's own f-number and ISO; at least -4. It determines the time.
     pub ev: f64,
-    /// What `ExposureBiasValue` says.
+    /// The value of `ExposureBiasValue`.
     pub bias_ev: f64,
-    /// Since the beginning of the card's first day.
+    /// Start of the exposure since the beginning of the card's first day.
     pub begin_ms: u64,
     pub is_auto_bracket: bool,
     pub has_flash: bool,
     /// EXIF orientation, 1 to 8.
     pub orientation: u16,
     pub has_exif: bool,
-    /// Cut off in the middle of the picture's data, as by a card that was pulled out; the header is whole.
+    /// Truncated in the middle of the picture's data, as by removing the card; the header is complete.
     pub is_truncated: bool,
 }
 
 impl Shot {
-    /// Exposure time in seconds, exactly.
+    /// Returns the exact exposure time in seconds.
     pub fn time_s(&self) -> f64 {
         self.ev.exp2() / 32.0
     }
 
-    /// When the shutter closed.
+    /// Returns the end of the exposure.
     pub fn end_ms(&self) -> u64 {
         self.begin_ms + (1000.0 * self.time_s()).ceil() as u64
     }
 }
 
-/// A card while it is being filled. Settings count for the shots that follow.
+/// A card that is being filled. Settings apply to the following shots.
 #[derive(Clone, Debug)]
 pub struct Card {
     pub camera: Camera,
@@ -130,21 +131,21 @@ pub struct Card {
     pub folder: PathBuf,
     /// Number in the next file's name.
     pub number: u32,
-    /// What the next bracket looks at.
+    /// The view of the next bracket.
     pub view: u64,
-    /// When the next exposure may begin, in ms since the beginning of the first day.
+    /// Earliest start of the next exposure, in ms since the beginning of the first day.
     pub clock_ms: u64,
-    /// From the end of a bracket to the beginning of the next, in ms.
+    /// From the end of a bracket to the start of the next, in ms.
     pub pause_ms: u64,
     pub orientation: u16,
-    /// Whether brackets are taken by the camera's own bracketing, and say so.
+    /// Whether brackets are taken by automatic bracketing and recorded as such.
     pub is_auto_bracket: bool,
     pub has_exif: bool,
     pub shots: Vec<Shot>,
 }
 
 impl Card {
-    /// An empty card: pictures of `width` pixels, from `IMG_0001.JPG` on, at 17:42 o'clock.
+    /// Creates an empty card: pictures of `width` pixels, from `IMG_0001.JPG` on, at 17:42.
     pub fn new(width: u32) -> Self {
         assert!((64..=1200).contains(&width), "a card's pictures are 64 to 1200 px wide, not {width}");
         Card {
@@ -162,7 +163,7 @@ impl Card {
         }
     }
 
-    /// A bracket of these exposures, in the order in which they are taken.
+    /// Adds a bracket of these exposures, in the order in which they are taken.
     pub fn bracket(&mut self, evs: &[f64]) -> &mut Self {
         let base = evs.first().copied().unwrap_or_default();
         for ev in evs {
@@ -173,7 +174,8 @@ impl Card {
         self.pause(self.pause_ms)
     }
 
-    /// `brackets` brackets of `frames` frames `step` EV apart, in the order of most cameras: the metered one, darker, brighter, ...
+    /// Adds `brackets` brackets of `frames` frames `step` EV apart, in the order of most cameras: the metered one,
+    /// darker, brighter, ...
     pub fn brackets(&mut self, brackets: usize, frames: usize, step: f64) -> &mut Self {
         // Even numbers have one more on the brighter side.
         let side = |k: usize| if k % 2 == 1 { -(k.div_ceil(2) as f64) } else { (k / 2) as f64 };
@@ -185,20 +187,20 @@ impl Card {
         self
     }
 
-    /// A frame by itself.
+    /// Adds a single photograph.
     pub fn single(&mut self, ev: f64) -> &mut Self {
         self.shot(ev, 0.0, false);
         self.view += 1;
         self.pause(self.pause_ms)
     }
 
-    /// Nothing for so long.
+    /// Adds a pause.
     pub fn pause(&mut self, ms: u64) -> &mut Self {
         self.clock_ms += ms;
         self
     }
 
-    /// The shot that was taken last, to be changed.
+    /// Returns the last shot, to be changed.
     pub fn last(&mut self) -> &mut Shot {
         self.shots.last_mut().expect("a shot")
     }
@@ -223,13 +225,13 @@ impl Card {
         self.shots.push(shot);
     }
 
-    /// Paths of the shots, bracket by bracket, as [`Card::write`] puts them into `folder`.
+    /// Returns the paths of the shots, bracket by bracket, as [`Card::write`] writes them into `folder`.
     pub fn paths(&self, folder: &Path) -> Vec<Vec<PathBuf>> {
         let same = |a: &Shot, b: &Shot| a.view == b.view && a.camera == b.camera;
         self.shots.chunk_by(same).map(|group| group.iter().map(|s| folder.join(&s.name)).collect()).collect()
     }
 
-    /// Writes all shots into `folder`, dated when they were taken, and gives back their paths, bracket by bracket.
+    /// Writes all shots into `folder`, with the dates when they were taken. Returns their paths, bracket by bracket.
     pub fn write(&self, folder: &Path) -> Vec<Vec<PathBuf>> {
         self.shots.par_iter().for_each(|shot| {
             let path = folder.join(&shot.name);
@@ -252,7 +254,7 @@ fn window() -> &'static [RgbImage] {
     })
 }
 
-/// A number of 0..1 that depends on `view` and `what` alone (splitmix64).
+/// Returns a number in 0..1 that depends only on `view` and `what` (splitmix64).
 fn chance(view: u64, what: u64) -> f64 {
     let mut z = (view * 16 + what + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -260,7 +262,8 @@ fn chance(view: u64, what: u64) -> f64 {
     ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
 }
 
-/// The value of `testdata/window`'s camera (`tests/library/testdata/window/camera.rs`) for one that was exposed `ev` stops less.
+/// Returns the code value of `testdata/window`'s camera (`tests/library/testdata/window/camera.rs`) after `ev` more
+/// stops of exposure.
 fn pushed(value: u8, ev: f64) -> u8 {
     let (power, knee) = (0.8, 0.45);
     let y = f64::from(value) / 255.0;
@@ -269,7 +272,7 @@ fn pushed(value: u8, ev: f64) -> u8 {
     (255.0 * (1.0 + knee) * p / (p + knee)).round() as u8
 }
 
-/// What the shot's sensor saw.
+/// Returns the picture of the shot.
 fn picture(shot: &Shot, width: u32) -> RgbImage {
     let darker = WINDOW_EV.iter().rposition(|ev| *ev <= shot.ev).expect("not darker than the darkest");
     let whole = &window()[darker];
@@ -299,7 +302,7 @@ fn encoded(picture: &RgbImage, quality: u8) -> Vec<u8> {
     plain
 }
 
-/// The file that the camera writes for the shot.
+/// Returns the JPEG file of the shot.
 pub fn jpeg(shot: &Shot, width: u32) -> Vec<u8> {
     let picture = picture(shot, width);
     let mut file = encoded(&picture, 92);
@@ -310,13 +313,13 @@ pub fn jpeg(shot: &Shot, width: u32) -> Vec<u8> {
         file = whole.encoder().bytes().to_vec();
     }
     if shot.is_truncated {
-        // The EXIF is at the front and less than half of the file; what is lost is picture.
+        // The EXIF is at the front and less than half of the file; only picture data are lost.
         file.truncate(file.len() - file.len() / 4);
     }
     file
 }
 
-/// `ExposureTime`: as cameras print it, where it is a whole stop; else in microseconds.
+/// `ExposureTime`: as recorded by cameras if it is a whole stop; otherwise in microseconds.
 fn printed_time(shot: &Shot) -> Rational {
     let place = PRINTED_ZERO + shot.ev.round() as i32;
     match usize::try_from(place).ok().and_then(|k| PRINTED.get(k)) {
@@ -325,7 +328,7 @@ fn printed_time(shot: &Shot) -> Rational {
     }
 }
 
-/// The fields of a shot.
+/// Returns the EXIF fields of a shot.
 pub fn exif_fields(shot: &Shot, width: u32, height: u32) -> Vec<Field> {
     let field = |tag, value| Field { tag, ifd_num: In::PRIMARY, value };
     let text = |s: &str| Value::Ascii(vec![s.as_bytes().to_vec()]);

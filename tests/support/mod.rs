@@ -1,4 +1,4 @@
-//! What the tests through the binary share: the bracket of `testdata/window`, smaller copies of it, and runs of the program.
+//! Common parts of the tests: the bracket of `testdata/window`, smaller copies of it, and runs of the program.
 
 #![allow(dead_code, reason = "each test program uses a part of it")]
 
@@ -68,12 +68,12 @@ pub fn jpeg_with(picture: &RgbImage, fields: &[(Tag, Value)]) -> Vec<u8> {
     file.encoder().bytes().to_vec()
 }
 
-/// A number of EXIF's.
+/// An EXIF rational.
 pub fn ratio(num: u32, denom: u32) -> Value {
     Value::Rational(vec![Rational { num, denom }])
 }
 
-/// The small frames as JPEGs with EXIF, made once a test program.
+/// The small frames as JPEGs with EXIF, made once per test program.
 fn small_jpegs() -> &'static [Vec<u8>] {
     static FILES: OnceLock<Vec<Vec<u8>>> = OnceLock::new();
     FILES.get_or_init(|| (1..=FRAMES).map(|i| jpeg(&small(i), Some(i))).collect())
@@ -84,8 +84,8 @@ pub fn program() -> PathBuf {
     std::env::var_os("HDRALIGN_BIN").map_or_else(|| env!("CARGO_BIN_EXE_hdralign").into(), PathBuf::from)
 }
 
-/// What runs a command where the system lacks `lacks`: `anonymous` files, hard `link`s, renaming with `noreplace`; none where this machine does not
-/// let us.
+/// Returns the prefix that runs a command on a system without `lacks`: `anonymous` files, hard `link`s, renaming with
+/// `noreplace`; `None` if this machine does not allow it.
 pub fn without(lacks: &str) -> Option<[String; 3]> {
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/support/without.py");
     let words = ["python3", script, lacks].map(str::to_owned);
@@ -93,7 +93,7 @@ pub fn without(lacks: &str) -> Option<[String; 3]> {
     tried.is_ok_and(|status| status.success()).then_some(words)
 }
 
-/// A folder of its own for one test, gone when the test is over.
+/// A temporary folder for one test.
 pub struct Folder(TempDir);
 
 impl Folder {
@@ -101,7 +101,7 @@ impl Folder {
         Folder(tempfile::tempdir().expect("a temporary folder"))
     }
 
-    /// With the small bracket in it, `w1.jpg` to `w5.jpg`.
+    /// Creates a folder with the small bracket, `w1.jpg` to `w5.jpg`.
     pub fn with_bracket() -> Self {
         let folder = Folder::empty();
         for i in 1..=FRAMES {
@@ -126,7 +126,7 @@ impl Folder {
         fs::read(self.at(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
     }
 
-    /// Every name in it, hidden ones too, and how long each file is.
+    /// Returns every name in it, including hidden ones, and the length of each file.
     pub fn listing(&self) -> Vec<(String, u64)> {
         let entry = |e: std::io::Result<fs::DirEntry>| {
             let e = e.expect("an entry");
@@ -148,7 +148,7 @@ impl Folder {
         }
     }
 
-    /// Runs the program with `line`, cut at its spaces.
+    /// Runs the program with `line`, split at spaces.
     pub fn line(&self, line: &str) -> Run {
         self.run(line.split_whitespace())
     }
@@ -159,7 +159,7 @@ pub fn small_jpeg(i: usize) -> &'static [u8] {
     &small_jpegs()[i - 1]
 }
 
-/// What a run of the program said.
+/// The result of a run of the program.
 #[derive(Debug)]
 pub struct Run {
     pub code: i32,
@@ -168,7 +168,7 @@ pub struct Run {
 }
 
 impl Run {
-    /// Itself, if it exited with 0.
+    /// Returns the run; panics if it did not exit with 0.
     pub fn done(self) -> Self {
         assert_eq!(self.code, 0, "{}", self.stderr);
         self
