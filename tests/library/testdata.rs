@@ -2,7 +2,7 @@
 //!
 //! To render it again (a few minutes on two cores; see `testdata/window/README.md`):
 //!
-//! cargo test --release --test library -- --ignored render_the_bracket
+//!     cargo test --release --test library -- --ignored render_the_bracket
 //!
 //! `WINDOW_PREVIEW=scale,samples` renders only a picture for viewing, `target/window-preview.png`, while the scene is
 //! being changed.
