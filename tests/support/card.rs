@@ -3,7 +3,7 @@
 //! In: what is photographed (exposures, pauses, camera, size), added to a [`Card`] shot by shot. Out: JPEG files in a
 //! folder. Each bracket shows another part of the window's room, mirrored or not, so that no two are equal; motion
 //! and response are those of `testdata/window`. An exposure between its five is made from the next darker one with
-//! the known response. Cost: some ms per shot.
+//! the known response. Cost: about 15 ms per frame of 960 px and core.
 
 #![allow(dead_code, reason = "each test program uses a part of it")]
 
