@@ -1,16 +1,16 @@
 #!/usr/bin/env bash
-# hdralign under the engines that people have, on this machine: a Slurm of its own (munged, slurmctld, slurmd, on loopback, in a temporary
-# folder), Snakemake on it, and GNU parallel. More than 40 brackets, one of them broken; a step is killed with kill -9 and a job with
-# scancel. All others must be done, the killed ones tried again and done, the broken one reported, and every byte must be what
-# `hdralign batch` writes here without any engine.
+# Tests hdralign with Snakemake on Slurm and with GNU parallel, on this machine. It starts its own Slurm (munged, slurmctld, slurmd) on
+# loopback in a temporary folder and runs 42 brackets, one of them damaged. One process is killed with kill -9 and one job with scancel.
+# Checked: all other brackets are done, the killed ones are run again and done, the damaged one is reported, and every byte is that of a
+# local run of `hdralign batch`.
 #
 #     workflow/test_slurm.sh [--engine slurm|parallel|both] [--brackets N] [--width PX] [--log FILE] [--keep]
 #
-# It needs no root, no container and no network; everything of it is in one temporary folder, which is gone afterwards but for the log.
+# It needs no root, container or network. All its files are in one temporary folder, which is deleted afterwards; the log is kept.
 #     apt-get install slurm-wlm munge parallel
 #     pip install snakemake snakemake-executor-plugin-slurm
-# HDRALIGN and CARD_DUMP name the programs if they are built already (else cargo builds them), SNAKEMAKE that of another environment.
-# Exit code 0: all held; 1: something did not; 77: something that it needs is missing.
+# HDRALIGN and CARD_DUMP name the programs if they are already built (otherwise cargo builds them); SNAKEMAKE names Snakemake.
+# Exit code 0: all checks passed; 1: a check failed; 77: a required program is missing.
 set -euo pipefail
 
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
@@ -27,7 +27,7 @@ while (($#)); do
     shift
 done
 broken=17
-((brackets > broken)) || { echo "--brackets: more than $broken, because bracket $broken is the broken one" >&2; exit 2; }
+((brackets > broken)) || { echo "--brackets: must be more than $broken, because bracket $broken is damaged" >&2; exit 2; }
 
 snakemake=${SNAKEMAKE:-snakemake}
 missing=()
@@ -46,11 +46,11 @@ if ((${#missing[@]})); then
     exit 77
 fi
 
-# The log, whole, and the screen.
+# Output goes to the log and to the screen.
 : >"$log"
 log=$(cd "$(dirname "$log")" && pwd)/$(basename "$log")
 exec > >(tee -a -- "$log") 2>&1
-# What this test says of a command whose own output goes elsewhere.
+# Channel 3: messages of this test while the output of a command is redirected.
 exec 3>&1
 
 root=$(mktemp -d "${TMPDIR:-/tmp}/hdralign-engines.XXXXXX")
@@ -63,14 +63,14 @@ clean_up() {
         squeue --noheader --format=%i | xargs --no-run-if-empty scancel --quiet
         for _ in {1..50}; do [[ -z $(squeue --noheader --states=R,CG,PD) ]] && break; sleep 0.2; done
     fi
-    # Last in, first out: the controller still speaks to munge.
+    # In reverse order: the controller still needs munge while it stops.
     for ((i = ${#daemons[@]} - 1; i >= 0; i--)); do kill "${daemons[i]}" 2>/dev/null && wait "${daemons[i]}" 2>/dev/null; done
-    # Without cgroups Slurm can miss a process of a job that was killed; what names this test's own folder is ours.
+    # Without cgroups Slurm can miss a process of a killed job. A process whose arguments contain this test's folder belongs to it.
     for pid in /proc/[0-9]*; do
         [[ ${pid#/proc/} != "$$" ]] && grep -qsF -- "$root/" "$pid/cmdline" && kill -KILL "${pid#/proc/}"
     done
     if [[ -n $keep ]]; then echo "kept: $root"; else rm -rf "$root"; fi
-    printf '\n%s after %d s, exit code %d; log: %s\n' "$([[ $code == 0 ]] && echo "all held" || echo FAILED)" $SECONDS $code "$log"
+    printf '\n%s after %d s, exit code %d; log: %s\n' "$([[ $code == 0 ]] && echo "all checks passed" || echo FAILED)" $SECONDS $code "$log"
     exit $code
 }
 trap clean_up EXIT
@@ -78,7 +78,7 @@ trap 'exit 130' INT TERM
 
 say() { printf '\n== %s\n' "$*"; }
 fail() { printf 'FAILED: %s\n' "$*" >&3; exit 1; }
-# expect CODE COMMAND...: runs it, prints its exit code and time, and holds the code.
+# expect CODE COMMAND...: runs the command, prints its exit code and time, and fails unless the code is CODE.
 expect() {
     local wanted=$1 code=0 began=$EPOCHREALTIME
     shift
@@ -90,7 +90,7 @@ expect() {
 since() { python3 -c 'import sys; print(f"{float(sys.argv[2]) - float(sys.argv[1]):.1f}")' "$1" "$EPOCHREALTIME"; }
 per_hour() { python3 -c 'import sys; print(f"{int(sys.argv[1]) * 3600 / float(sys.argv[2]):.0f}")' "$1" "$2"; }
 
-# The plan's answers, by Python because not everybody has jq. `value FIELD [ID]`: the values of all steps, or of one.
+# value FIELD [ID]: prints a field of all jobs of the plan, or of one. In Python, because jq may be missing.
 value() {
     python3 - "$plan" "$@" <<'PY'
 import json, sys
@@ -101,17 +101,17 @@ for step in map(json.loads, open(plan)):
 PY
 }
 
-# Every result of the plan is there with the bytes of the local run.
+# Checks that every result of the plan exists and has the bytes of the local run.
 compare_with_local() {
     local output same=0 lost=0
     while read -r output; do
         if cmp -- "$output" "$root/local/${output#"$out/"}"; then same=$((same + 1)); else lost=$((lost + 1)); fi
     done < <(value outputs)
-    echo "$same results have the bytes of the local run, $lost have not"
+    echo "$same results are identical to the local run, $lost differ or are missing"
     ((lost == 0 && same == $(value outputs | wc -l))) || fail "results differ from the local run's"
 }
 
-# What batch.json says: how many are done, how many failed, and the broken one's error.
+# Checks the counts in batch.json and the error of the damaged bracket. $1: expected failures.
 check_summary() {
     python3 - "$out" "$brackets" "$1" "$broken_name" <<'PY'
 import csv, json, os, sys
@@ -130,8 +130,8 @@ assert all(name in step["error"] for step in bad), "the error does not name " + 
 PY
 }
 
-# A process of this plan that is in the middle of a step: its id and the step's. The arguments are looked at one by one, so that a shell
-# in whose text they stand is not taken for it; nor is parallel itself, which has {} for the step.
+# Prints the process id and the plan's job id of a running job. The arguments are compared one by one, so that neither a shell with the
+# whole command as one argument nor parallel itself, which has {} as the id, is found.
 running_step() {
     local pid arguments
     for pid in /proc/[0-9]*; do
@@ -147,8 +147,8 @@ running_step() {
     return 1
 }
 
-# Stops a step half-way, so that looking is no race: it is in the middle, and none of its results are there. Sets `pid`, `id` and `job`,
-# that of Slurm. Not the broken photograph's step, nor one of the job $1.
+# Pauses a running job of the plan that has not written any result yet, so that it can be killed without a race. Sets `pid`, `id` and
+# `job` (the job of Slurm). Never the damaged bracket, nor a bracket in the Slurm job $1.
 stop_a_step() {
     local but_not_job=${1:-none} results broken_step
     broken_step=$(grep -F "/$broken_name\"" "$plan" | sed 's/.*"id":"\([^"]*\)".*/\1/')
@@ -164,7 +164,7 @@ stop_a_step() {
         kill -CONT "$pid" 2>/dev/null || true
     done
     tail -n 40 "$root"/*-1.log
-    fail "no step was met half-way"
+    fail "no running job was found"
 }
 
 say "programs"
@@ -183,7 +183,7 @@ cp "$card/$broken_name" "$root/whole.jpg"
 break_photograph() { head -c "$(($(stat --format=%s "$root/whole.jpg") * 3 / 4))" "$root/whole.jpg" >"$card/$broken_name"; }
 break_photograph
 
-say "without an engine"
+say "local run"
 began=$EPOCHREALTIME
 expect 3 "$hdralign" batch "$card" -d "$root/local" -q >/dev/null
 local_s=$(since "$began")
@@ -201,7 +201,7 @@ sockets = [socket.create_server(("127.0.0.1", 0)) for _ in range(2)]
 print(*(s.getsockname()[1] for s in sockets))')
     memory_mb=$(awk '/^MemTotal/ {print int($2 / 1024 * 0.9)}' /proc/meminfo)
     mkdir -p "$root/slurm/state" "$root/slurm/spool" "$root/munge" "$root/bin"
-    # munge wants folders that nobody else writes to and a socket that everybody reaches.
+    # munge requires folders that only it can write to, and a socket that all can reach.
     chmod 711 "$root" "$root/munge"
     (umask 077; head -c 1024 /dev/urandom >"$root/munge/key")
     munged --foreground --force --socket "$root/munge/socket" --key-file "$root/munge/key" --pid-file "$root/munge/pid" \
@@ -230,10 +230,10 @@ TaskPlugin=task/none
 JobAcctGatherType=jobacct_gather/none
 SwitchType=switch/none
 MpiDefault=none
-# No database either: squeue alone says how jobs ended, so they are remembered for long enough.
+# No database: how jobs ended is known from squeue only, so ended jobs are kept for an hour.
 AccountingStorageType=accounting_storage/none
 MinJobAge=3600
-# Processors and memory are what jobs ask for and get.
+# Jobs request processors and memory.
 SelectType=select/cons_tres
 SelectTypeParameters=CR_CPU_Memory
 SchedulerParameters=batch_sched_delay=0,sched_interval=2,bf_interval=2
@@ -242,7 +242,7 @@ KillWait=2
 NodeName=$host NodeAddr=127.0.0.1 CPUs=$(nproc) RealMemory=$memory_mb State=UNKNOWN
 PartitionName=night Nodes=$host Default=YES MaxTime=60 State=UP
 CONF
-    # A job's Snakemake calls srun without the SLURM_* of its surroundings, SLURM_CONF too. Clusters have their slurm.conf in /etc.
+    # Snakemake in a job calls srun without the variables SLURM_*, so SLURM_CONF is set here. Clusters have slurm.conf in /etc.
     printf '#!/bin/sh\nSLURM_CONF=%q exec %q "$@"\n' "$SLURM_CONF" "$(command -v srun)" >"$root/bin/srun"
     chmod +x "$root/bin/srun"
     export PATH=$root/bin:$PATH
@@ -258,7 +258,7 @@ CONF
     sinfo --Node --long || true
     if [[ $(sinfo --noheader --format=%T) != idle ]]; then
         tail -n 20 "$root"/slurm/*.log "$root"/slurm/*.out "$root"/munge/log
-        fail "Slurm did not come up"
+        fail "Slurm did not start"
     fi
 }
 
@@ -269,7 +269,7 @@ snakemake_run() {
 }
 
 overhead() {
-    # What a job costs: Snakemake's last one, which did one step; a bare one of Slurm with that step; and the step by itself.
+    # Overhead of a job: Snakemake's last job with one bracket, a plain Slurm job with that bracket, and the bracket alone.
     local one=$root/one.jsonl id began step_s last
     last=$(squeue --noheader --states=all --format=%i | sort -n | tail -n 1)
     grep -E "Started JobId=$last |Allocate JobId=$last |JobId=$last done" "$root/slurm/slurmctld.log" || true
@@ -280,7 +280,7 @@ overhead() {
     step_s=$(since "$began")
     began=$EPOCHREALTIME
     sbatch --parsable --wait --output=/dev/null --wrap="$hdralign batch --run $one --id $id --force -q" >/dev/null
-    echo "a step by itself: $step_s s; as a bare job of Slurm, sbatch to end: $(since "$began") s"
+    echo "one bracket: $step_s s; as a plain Slurm job, from sbatch to its end: $(since "$began") s"
 }
 
 on_slurm() {
@@ -292,10 +292,10 @@ on_slurm() {
     plan=$root/plan.jsonl out=$root/slurm-out
     say "the plan"
     expect 0 "$hdralign" batch --plan "$card" -d "$out" >"$plan"
-    echo "$(wc -l <"$plan") steps"
-    (($(wc -l <"$plan") == brackets)) || fail "the plan has not $brackets steps"
+    echo "$(wc -l <"$plan") jobs"
+    (($(wc -l <"$plan") == brackets)) || fail "the plan does not have $brackets jobs"
 
-    say "Snakemake on Slurm; a step and a job will be killed"
+    say "Snakemake on Slurm; a process and a job are killed"
     local began=$EPOCHREALTIME code=0 pid id job night night_s killed killed_job
     snakemake_run >"$root/snakemake-1.log" 2>&1 &
     night=$!
@@ -312,40 +312,40 @@ on_slurm() {
     workers=()
     night_s=$(since "$began")
     cat "$root/snakemake-1.log"
-    echo "-- snakemake: exit code $code (1 expected: one bracket is broken), $night_s s"
+    echo "-- snakemake: exit code $code (1 expected: one bracket is damaged), $night_s s"
     ((code == 1)) || fail "snakemake: exit code $code"
     squeue --states=all --format='%.6i %.10T %.12M' || true
     expect 3 "$hdralign" batch --summarize "$plan" >/dev/null
     check_summary 1
     [[ $(squeue --noheader --states=all --jobs="$killed_job" --format=%T) =~ CANCELLED|FAILED ]] || fail "job $killed_job did not fail"
-    # One attempt for each kill, two for the broken one, which a killed job may hold too.
-    (($(grep -c "^Trying to restart" "$root/snakemake-1.log") >= 3)) || fail "what was killed was not tried again"
+    # One attempt for each kill and two for the damaged bracket, which may be in a killed job.
+    (($(grep -c "^Trying to restart" "$root/snakemake-1.log") >= 3)) || fail "the killed jobs were not run again"
     [[ -e $(value report "$killed") && -e $(value report "$id") ]] || fail "$killed or $id was killed and is not done"
     echo "$killed and $id, which were killed, are done"
 
-    say "the broken photograph is replaced; the same command again"
+    say "the damaged photograph is replaced; the same command again"
     cp "$root/whole.jpg" "$card/$broken_name"
-    # Results that are whole are not written again: the same inodes before and after.
+    # Complete results are not written again: their inodes stay the same.
     while read -r output; do [[ ! -e $output ]] || stat --format='%n %i %Y' "$output"; done < <(value outputs) >"$root/before"
     expect 0 snakemake_run
     while read -r output; do stat --format='%n %i %Y' "$output"; done < <(value outputs) >"$root/after"
-    echo "$(wc -l <"$root/before") results before, $(wc -l <"$root/after") after; of those before, written again: $(comm -23 <(sort "$root/before") <(sort "$root/after") | wc -l)"
-    [[ -z $(comm -23 <(sort "$root/before") <(sort "$root/after")) ]] || fail "whole results were written again"
+    echo "$(wc -l <"$root/before") results before, $(wc -l <"$root/after") after; written again: $(comm -23 <(sort "$root/before") <(sort "$root/after") | wc -l)"
+    [[ -z $(comm -23 <(sort "$root/before") <(sort "$root/after")) ]] || fail "complete results were written again"
     expect 0 "$hdralign" batch --summarize "$plan" >/dev/null
     check_summary 0
     expect 0 "$hdralign" batch "$card" -d "$root/local" -q >/dev/null
     compare_with_local
 
-    say "once more, with nothing to be done"
+    say "the same command again, with nothing to do"
     expect 0 snakemake_run
     expect 0 "$hdralign" batch --run "$plan" --id "$killed"
 
-    say "a result is removed: its job is run, and only its step does something"
+    say "a result is deleted: its job is run, and only its bracket is merged"
     rm "$(value outputs "$killed" | sed -n 1p)"
     expect 0 snakemake_run
     compare_with_local
     overhead
-    figures+=("Snakemake on Slurm: $brackets steps in $night_s s with 2 kills and $broken_name broken, $(per_hour "$brackets" "$night_s") an hour (jobs of 5 steps)")
+    figures+=("Snakemake on Slurm: $brackets brackets in $night_s s with 2 kills and $broken_name damaged, $(per_hour "$brackets" "$night_s") an hour (jobs of 5 brackets)")
 }
 
 ### GNU parallel
@@ -367,24 +367,24 @@ on_parallel() {
     workers=()
     night_s=$(since "$began")
     cat "$root/parallel-1.log"
-    echo "-- parallel.sh: exit code $code (3 expected: one bracket is broken), $night_s s"
+    echo "-- parallel.sh: exit code $code (3 expected: one bracket is damaged), $night_s s"
     ((code == 3)) || fail "parallel.sh: exit code $code"
     check_summary 1
     [[ -e $(value report "$id") ]] || fail "$id was killed and is not done"
-    # parallel writes the last attempt's line alone.
+    # The log of parallel has only the last attempt.
     echo "$id, which was killed, is done: $(grep -F -- "--id $id " "$plan.merge.log" | cut -f 4,7,8 | tr '\t' ' ') (time, exit code, signal)"
 
-    say "the broken photograph is replaced; the same command again"
+    say "the damaged photograph is replaced; the same command again"
     cp "$root/whole.jpg" "$card/$broken_name"
     export HDRALIGN=$hdralign
     expect 0 "$here/parallel.sh" "$plan" >/dev/null
     check_summary 0
     expect 0 "$hdralign" batch "$card" -d "$root/local" -q >/dev/null
     compare_with_local
-    figures+=("GNU parallel: $brackets steps in $night_s s with a kill and $broken_name broken, $(per_hour "$brackets" "$night_s") an hour")
+    figures+=("GNU parallel: $brackets brackets in $night_s s with a kill and $broken_name damaged, $(per_hour "$brackets" "$night_s") an hour")
 }
 
-figures=("without an engine: $brackets brackets in $local_s s, $(per_hour "$brackets" "$local_s") an hour")
+figures=("local run: $brackets brackets in $local_s s, $(per_hour "$brackets" "$local_s") an hour")
 case $engine in slurm | both) on_slurm ;; esac
 case $engine in parallel | both) on_parallel ;; esac
 
