@@ -65,8 +65,9 @@ Exit codes:
   0  done
   1  failed, nothing written
   2  wrong usage
-  3  with --strict: written, but degraded: a frame was rejected, assumed or uncertain, the frames
-     overlap by less than half, or an exposure or the response was estimated
+  3  with --strict: written, but degraded: a frame could not be aligned, its transform was assumed or
+     is uncertain, the frames overlap by less than half, or an exposure or the response was estimated
+     or contradicts the pixels
   compare: 0 same, 1 different, 2 error
   batch: 0 all brackets done, 1 none, 3 some
 

@@ -157,7 +157,7 @@ fn problems(report: &Report, room: usize) -> String {
             let names = if frames.len() <= most { format!(": {}", names.join(", ")) } else { String::new() };
             (!frames.is_empty()).then(|| format!("{}{label}{names}", frames.len()))
         };
-        let guessed = is_guessed.then(|| "some values are estimates, see the warnings".to_owned());
+        let guessed = is_guessed.then(|| "some values are in doubt, see the warnings".to_owned());
         let local = is_local.then(|| "frames tone-mapped locally by the camera".to_owned());
         let parts = [
             some(" rejected", &rejected),

@@ -250,7 +250,7 @@ fn named(paths: &[PathBuf]) -> String {
 }
 
 impl Warning {
-    /// Whether the result is degraded: a frame is rejected, assumed or uncertain, an exposure estimated, or a curve assumed.
+    /// Whether the result is degraded: a frame, an exposure or the response is in doubt.
     pub fn degrades(&self) -> bool {
         !matches!(
             self,

@@ -9,7 +9,7 @@ use super::staging::{Pending, Written};
 use super::tiff;
 use crate::align::resampling::{OUTSIDE, resample_rows};
 use crate::align::{Alignment, Rect, Transform};
-use crate::bracket::{Bracket, Codes, Window};
+use crate::bracket::{Bracket, Codes, Frame, Window};
 use crate::error::{Error, Result};
 use crate::plane::BAND_ROWS;
 use rayon::prelude::*;
@@ -40,7 +40,7 @@ pub fn names(prefix: &Path, images: &[PathBuf]) -> Result<Vec<PathBuf>> {
     Ok(names)
 }
 
-/// Writes the part `region` of every merged frame of `bracket`.
+/// Writes the part `region` of every merged frame of `bracket`, each with the `metadata` of its photograph.
 ///
 /// # Errors
 /// [`Error::Write`], [`Error::Scratch`].
@@ -49,13 +49,13 @@ pub fn write(
     alignment: &Alignment,
     region: Rect,
     prefix: &Path,
-    metadata: &Metadata,
+    metadata: impl Fn(&Frame) -> Metadata,
 ) -> Result<Vec<Written>> {
     let mut files = Vec::new();
     for (_, frame, warp) in alignment.placed(bracket) {
         let path = name(prefix, frame.path());
         let size = (region.width(), region.height());
-        let metadata = Metadata { profile: frame.profile.clone(), ..metadata.clone() };
+        let metadata = Metadata { profile: frame.profile.clone(), ..metadata(frame) };
         let file = Pending::create(&path)?;
         let whole = frame.whole()?;
         files.push(match whole.codes() {

@@ -1,6 +1,7 @@
 //! File names: default names of results, and unusual names.
 
 use crate::support::{Folder, small, small_jpeg};
+use std::io::Cursor;
 
 fn names(folder: &Folder) -> Vec<String> {
     folder.listing().into_iter().map(|(name, _)| name).collect()
@@ -39,6 +40,16 @@ fn aligned_frames_have_one_size_and_open_elsewhere() {
     // Two decoders may differ by a code or two.
     let near = |p: &image::RgbImage| p.as_raw().iter().zip(pictures[1].as_raw()).all(|(a, b)| a.abs_diff(*b) <= 3);
     assert!((0..=300 - w).any(|x| (0..=200 - h).any(|y| near(&cut(x, y)))), "the reference was changed");
+    // Other programs need the exposure of each frame.
+    let exposure = |name: &str| {
+        let bytes = std::fs::read(folder.at(name)).expect("a file");
+        let tags = exif::Reader::new().read_from_container(&mut Cursor::new(bytes)).expect("EXIF");
+        let time = tags.get_field(exif::Tag::ExposureTime, exif::In::PRIMARY).expect("an exposure time");
+        time.display_value().to_string()
+    };
+    for i in 2..=4 {
+        assert_eq!(exposure(&format!("on_w{i}.tif")), exposure(&format!("w{i}.jpg")), "{i}");
+    }
 }
 
 #[test]

@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 pub struct Method {
     /// Set the exposures in EV, in the order of the photographs
     ///
-    /// They replace those in EXIF, and are used even if they contradict the pixels
+    /// +1 is twice the light of 0. They replace those in EXIF, and are used even if they contradict the pixels
     #[arg(short, long, help_heading = INPUT, value_name = "EV,...", value_delimiter = ',', allow_hyphen_values = true)]
     ev: Option<Vec<f64>>,
 
@@ -62,8 +62,8 @@ pub struct Work {
 
     /// Exit with code 3 if the result is degraded
     ///
-    /// A result is degraded if a frame was rejected or is uncertain, the frames overlap by less than half, or an exposure or the response was
-    /// estimated
+    /// A result is degraded if a frame could not be aligned, its transform was assumed or is uncertain, the frames overlap by less than half, or
+    /// an exposure or the response was estimated or contradicts the pixels. The files are written all the same
     #[arg(long, help_heading = OUTPUT)]
     pub strict: bool,
 

@@ -199,7 +199,7 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
         let structure = compared.ms_ssim.map(|s| format!("MS-SSIM {s:.5}"));
         let both: Vec<String> = psnr.into_iter().chain(structure).collect();
         if !both.is_empty() {
-            row("visibility", both.join(", "));
+            row("quality", both.join(", "));
         }
     }
     for changed in &compared.metadata {

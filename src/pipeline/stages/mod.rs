@@ -193,8 +193,8 @@ impl<'a> Run<'a> {
         }
         if let Some(prefix) = &self.options.save_aligned {
             // The unit of radiance does not apply to frames.
-            let metadata = Metadata { comments: Vec::new(), ..metadata(bracket.reference(), None, self.options) };
-            files.extend(aligned::write(bracket, alignment, *region, prefix, &metadata)?);
+            let metadata = |frame: &Frame| Metadata { comments: Vec::new(), ..metadata(frame, None, self.options) };
+            files.extend(aligned::write(bracket, alignment, *region, prefix, metadata)?);
         }
         self.times.write = Some(began.elapsed().as_secs_f64());
         Ok(files)
@@ -262,11 +262,11 @@ impl<'a> Run<'a> {
     }
 }
 
-/// Returns the metadata of a result.
-pub(super) fn metadata(reference: &Frame, photographed: Option<Photographed>, options: &Options) -> Metadata {
+/// Returns the metadata of a result that shows `frame`.
+pub(super) fn metadata(frame: &Frame, photographed: Option<Photographed>, options: &Options) -> Metadata {
     let cd_m2_per_unit = options.calibration.is_asked().then_some(Factor::ONE);
     let unit = |exposure| format!("radiance 1 is the middle code at t ISO / N^2 = {exposure} s");
     let photographed = photographed.map(|photographed| photographed.to_string());
     let comments = options.unit_exposure.map(unit).into_iter().chain(photographed).collect();
-    Metadata { cd_m2_per_unit, comments, ..Metadata::of(reference) }
+    Metadata { cd_m2_per_unit, comments, ..Metadata::of(frame) }
 }
