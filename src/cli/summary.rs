@@ -120,7 +120,7 @@ fn aligned(report: &Report, room: usize) -> String {
     let mut words = Vec::new();
     if moved > 0 {
         let turn = if angle >= 0.05 { format!(" and {angle:.1} degrees") } else { String::new() };
-        words.push(format!("{moved} moved by up to {shift:.1} px{turn}, to within {error:.1} px"));
+        words.push(format!("{moved} moved, by up to {shift:.1} px{turn}; remaining error {error:.1} px"));
     }
     if unmoved > 0 {
         words.push(format!("{unmoved} unmoved"));
@@ -320,7 +320,7 @@ mod tests {
         assert_eq!([&seen[0][4], &seen[1][4]], ["files      none written", "files      room.exr, room.png"]);
         assert!(seen[2][0].contains("2 of 3") && seen[2][2] == "frames     1 rejected", "{:?}", seen[2]);
         assert!(seen[2][4].contains("IMG_0001-IMG_0003.exr, .png, .hdr in /home"), "{}", seen[2][4]);
-        assert!(seen[3][1].contains("1 moved by up to 5.0 px"), "{}", seen[3][1]);
+        assert!(seen[3][1].contains("1 moved, by up to 5.0 px"), "{}", seen[3][1]);
         assert_eq!(seen[3][2], "frames     1 rejected: dark.jpg; 1 uncertain: bright.jpg");
         assert_eq!(seen[3][5], "time       3 min 20 s");
     }
