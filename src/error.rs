@@ -157,7 +157,7 @@ pub enum Error {
     },
     /// A result of other photographs has the same name.
     #[error(
-        "{}: is the result of other photographs with the same names; choose another folder or unique names (for example {{date}} and {{time}} in `--name`), or replace it with --force",
+        "{}: was made from other photographs with the same names; choose another folder or unique names (for example {{date}} and {{time}} in `--name`), or replace it with --force",
         path.display()
     )]
     OtherPhotographs {

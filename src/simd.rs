@@ -125,7 +125,7 @@ pub fn integer64(whole: f64) -> u64 {
     (whole + WHOLE.1).to_bits() & ((1 << 52) - 1)
 }
 
-/// The larger value, in one vector instruction. NaN if `value` is NaN.
+/// The larger of the two values, in one vector instruction. NaN if `value` is NaN; a NaN in the other is ignored.
 #[inline(always)]
 pub fn at_least(value: f32, least: f32) -> f32 {
     if value < least { least } else { value }

@@ -26,8 +26,8 @@ pub struct Size {
 }
 
 impl Size {
-    /// Returns the peak memory of the whole process with one thread, in bytes, if it is not limited; otherwise frames
-    /// are moved to disk.
+    /// Returns the peak memory of the whole process with one thread and no limit of memory, in bytes. With a limit,
+    /// frames are moved to disk.
     pub fn memory(&self) -> u64 {
         let frame = (self.size.0 * self.size.1 * self.bytes) as u64;
         let stages = Stages {

@@ -117,7 +117,7 @@ pub fn begin<'a>(job: &'a Job, options: &Options, force: bool, watch: Watch) -> 
     }
     let folder = job.report.parent().unwrap_or(Path::new("."));
     fs::create_dir_all(folder).map_err(|source| Error::Write { path: folder.to_owned(), source })?;
-    // The run itself would report -o, which is not an option of a batch.
+    // Checked here, because the message of the run would name -o, which is not an option of a batch.
     write::check_targets(&Target::of("--name", &results), &job.inputs, true)?;
     let older = existing.iter().filter(|path| **path != job.report);
     let replaced = older.map(|path| Ok(Content::of(path)?.sha256)).collect::<Result<_>>()?;

@@ -27,7 +27,7 @@ const FIELDS: [(&str, Field, &str); 9] = [
     ("first", Field::First, "the first photograph by name, without extension"),
     ("last", Field::Last, "the last photograph by name, without extension"),
     ("number", Field::Number, "the bracket's number, from 0001"),
-    ("count", Field::Count, "the number of its photographs"),
+    ("count", Field::Count, "the number of photographs in the bracket"),
     ("set", Field::Set, "the number of its panorama, from 001"),
     ("camera", Field::Camera, "the camera, for example Canon_EOS_5D"),
     ("date", Field::Date, "the date when it was taken, for example 2026-11-21"),

@@ -198,7 +198,7 @@ fn lost(source: std::io::Error) -> Result<(), Error> {
     if source.kind() == std::io::ErrorKind::BrokenPipe {
         return Ok(());
     }
-    let words = format!("{source}; redirect it to another place (the result files are complete)");
+    let words = format!("{source}; redirect stdout to another place (the result files are complete)");
     let source = std::io::Error::new(std::io::ErrorKind::InvalidInput, words);
     Err(Error::Write { path: "standard output".into(), source })
 }

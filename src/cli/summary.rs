@@ -1,4 +1,4 @@
-//! The summary on stderr: warnings, then six lines, and one more each if something moved and if the white balance was changed.
+//! The summary on stderr: warnings, then six lines. There is one more line if something moved, and one if the white balance was changed.
 
 use super::say;
 use super::terminal::{Terminal, shortened};
@@ -93,7 +93,7 @@ fn movement(report: &Report) -> Option<String> {
         percent if percent < 0.1 => "under 0.1".to_owned(),
         percent => format!("{percent:.1}"),
     };
-    Some(format!("{percent} % of the picture, most of it {place}; removed"))
+    Some(format!("in {percent} % of the picture, most of it {place}; ghosts removed"))
 }
 
 /// The number of frames merged, and the size of the result.

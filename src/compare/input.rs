@@ -183,7 +183,7 @@ enum Value {
 }
 
 impl Display for Value {
-    /// Writes numbers with the digits of an `f32`.
+    /// Writes numbers with as many digits as an `f32` has.
     fn fmt(&self, f: &mut Formatter) -> fmt::Result {
         match self {
             Value::Text(text) => f.write_str(text),

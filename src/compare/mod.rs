@@ -141,7 +141,7 @@ pub struct Largest {
     pub x_px: usize,
     /// Its row.
     pub y_px: usize,
-    /// For radiance, the largest difference of a channel; null when a value is NaN or infinite in one file only.
+    /// For radiance, the largest difference of a channel; null when a value is NaN or infinite in only one of the files.
     pub stops: Option<f64>,
     /// For pictures, the difference by CIEDE2000.
     pub de: Option<f64>,
@@ -175,7 +175,7 @@ pub struct RadianceDifference {
     pub rms_stops: f64,
     /// Signed mean over all channels.
     pub mean_stops: f64,
-    /// Pixels that are NaN or infinite in one file only; they are excluded from the means.
+    /// Pixels that are NaN or infinite in only one of the files; they are excluded from the means.
     pub not_comparable_pixels: usize,
     /// Luminance of radiance 1 in cd/m2, used for PU21: from the expected file, or such that its 99.9th percentile is 1000.
     pub cd_m2_per_unit: f64,

@@ -135,7 +135,10 @@ pub(super) fn decide(
         // The PSNR may miss values outside of its range, such as infinities.
         let not_comparable = measured.radiance.as_ref().map_or(0, |r| r.not_comparable_pixels);
         if not_comparable > 0 {
-            return (Outcome::Differs, format!("{} NaN or infinite in one file only", pixels_are(not_comparable)));
+            return (
+                Outcome::Differs,
+                format!("{} NaN or infinite in only one of the files", pixels_are(not_comparable)),
+            );
         }
         return match found {
             Some(db) => {

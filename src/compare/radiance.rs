@@ -17,7 +17,7 @@ use crate::plane::Plane;
 use crate::statistics::of_rank;
 use crate::write::Metadata;
 
-/// Share of the positive values below the floor.
+/// Share of the positive values that are below the floor f, under which differences are relative to f.
 const DARK: f64 = 0.001;
 /// The luminance at this percentile ...
 const BRIGHT: f64 = 0.999;

@@ -128,7 +128,7 @@ impl<const N: usize> Reduced<N> {
         }
     }
 
-    /// Adds the last row to the row of cells, with the weight `times`.
+    /// Adds the row read last to the row of cells, `times` times.
     fn add(&mut self, times: u64) {
         for (sum, v) in self.sums.iter_mut().zip(&self.line) {
             (0..N).for_each(|c| sum[c] += times * u64::from(v[c]));

@@ -100,7 +100,7 @@ pub enum Warning {
     #[error(
         "{}: the flash fired, unlike in the other frames; {}",
         path.display(),
-        if *is_used { "it is merged anyway, check the result" } else { "it is excluded; to use it, give -e, or name it with --reference or --unmoved" }
+        if *is_used { "it is merged anyway, check the result" } else { "it is excluded; to use it all the same, give -e with the exposures of all frames, or name it with --reference or --unmoved" }
     )]
     FlashFired {
         /// The frame.
@@ -209,7 +209,7 @@ pub enum Warning {
         /// The ignored part.
         detail: String,
     },
-    /// An option for the radiance has no effect on fused frames.
+    /// The user gave an option that acts on radiance only, and frames are fused without radiance.
     #[error("{option} acts on the radiance only, not on the picture by `mertens`; choose another --tmo to apply it")]
     FusedAsIs {
         /// The option.

@@ -38,7 +38,7 @@ pub fn check(folder: &Path, images: &[PathBuf], overwrite: bool) -> Result<()> {
     }
     match fs::metadata(folder) {
         Ok(there) if !there.is_dir() => {
-            let reason = "it is a file, not a folder; name another with -d";
+            let reason = "it is a file, not a folder; give a folder with -d";
             Err(write_error(folder, io::Error::new(io::ErrorKind::InvalidInput, reason)))
         }
         Ok(_) => {

@@ -67,8 +67,9 @@ impl Tables {
         for frame in &self.frames {
             if frame.mtb.xor.as_ref().is_some_and(|x| x.after_share > AGAINST.0 * x.before_share + AGAINST.1) {
                 let name = file_name(&frame.report.path);
-                text +=
-                    &format!("{name}: the bitmaps differ more after alignment than before; check the edges drawing.\n");
+                text += &format!(
+                    "{name}: the bitmaps differ more after alignment than before; check the drawing of the edges.\n"
+                );
             }
         }
         let reasons = self.frames.iter().filter_map(|f| f.report.alignment.reason.as_ref().map(|r| (f, r)));

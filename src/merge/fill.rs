@@ -175,7 +175,7 @@ mod tests {
             if is_held {
                 assert_eq!(filled[x], without[x], "{x}");
             }
-            // The five frames together reach from 2^-8 of 20 codes to 2^8.
+            // The five frames together cover the radiances from 2^-8 to 2^8 times the middle one.
             if (16.5..240.0).contains(&ramp(x)[1]) || (4.0e-5..5.0e-4).contains(&ramp(x)[1]) {
                 let found = f64::from(filled[x][1]) / truth;
                 assert!((found - 1.0).abs() < 0.06, "{x}: {found}, {} with all", f64::from(all[x][1]) / truth);

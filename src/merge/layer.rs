@@ -320,8 +320,8 @@ pub(super) fn layers<'a>(
     Ok(placed.map(layer).collect())
 }
 
-/// The layer of `frame`, with `time` times the exposure of the reference and with `noise`. Weights are divided by
-/// `most`.
+/// The layer of `frame`, whose exposure is `time` times that of the reference. Weights are divided by `most`, the largest
+/// weight.
 fn layer<'a>(
     frame: &'a Frame,
     warp: Transform,

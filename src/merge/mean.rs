@@ -170,7 +170,7 @@ impl Means {
                 let e = if is_first[x] != 0 { e } else { 0.0 };
                 sum[x] = (sum[x] + w * radiance) + e * radiance;
                 weight[x] = (weight[x] + w) + e;
-                // Where it is clipped it does not decide what is dark, whatever its code value.
+                // Where the middle frame is clipped, it does not decide what is dark, whatever its code value.
                 let e = middle * unclipped * (DECIDE * (1.0 - code) + LEAST);
                 longest_sum[x] = if is_used[x] != 0 { e * radiance } else { longest_sum[x] };
                 longest_weight[x] = if is_used[x] != 0 { e } else { longest_weight[x] };

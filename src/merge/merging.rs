@@ -208,7 +208,7 @@ impl<'a> Merging<'a> {
                     ghosts.fill(rows.start, out);
                 }
             }
-            // Sums of integers do not depend on the order.
+            // A sum of integers does not depend on the order of the threads.
             all_clipped.fetch_add(bounds.clipped, Ordering::Relaxed);
             all_black.fetch_add(bounds.black, Ordering::Relaxed);
         });

@@ -57,7 +57,7 @@ fn details(page: &Page, report: &Report) -> String {
         ("alignment", "Alignment, frame by frame", Some(photographs::moved(page, report))),
         ("bitmaps", "Median threshold bitmaps", Some(photographs::bitmaps(page, report))),
         ("movement", "Movement, frame by frame", scene::moved(report)),
-        ("local", "Phone processing, frame by frame", scene::processed(page, report)),
+        ("local", "What the phone did to each frame", scene::processed(page, report)),
         ("light", "Brightness range and camera response", light::scene(page, report)),
         ("shares", "Contribution of each frame", light::shares(page, report)),
         ("run", "Time", Some(summary::times(report, page.time_s))),

@@ -172,7 +172,7 @@ pub(crate) fn luminance16(le: u32) -> f64 {
 const MIN_RUN: usize = 4;
 
 /// Appends a row of 32-bit pixels: the first bytes of all pixels, then the second and so on, each run-length encoded. A run of n = 2..=129 equal bytes is
-/// 126 + n and the byte; other bytes are n, up to 127, and n bytes.
+/// stored as the count 126 + n and the byte. Up to m = 127 other bytes are stored as the count m and the bytes.
 pub(crate) fn put_row(row: &[u32], out: &mut Vec<u8>) {
     let mut plane = vec![0; row.len()];
     for shift in [24, 16, 8, 0] {

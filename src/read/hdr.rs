@@ -78,7 +78,7 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
     }
     let scan = take_line(&mut rest)
         .and_then(|l| Scan::parse(&l))
-        .ok_or("its resolution is not of the form `-Y height +X width`, with any signs and order")?;
+        .ok_or("its resolution line is not of the form `-Y height +X width` (either sign, in either order)")?;
     // A scanline has at least 4 bytes (old run lengths, 8 pixels or more): check the claimed size before reserving
     // memory.
     if scan.lines.checked_mul(4).is_none_or(|least| least > rest.len()) || scan.length > 1 << 24 {

@@ -86,7 +86,7 @@ impl Options {
 #[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ratio {
-    /// ln dt of the shorter and of the longer exposure, as given.
+    /// ln dt of the shorter and of the longer exposure, before they are corrected.
     pub ln_times: (f64, f64),
     /// ln of longer over shorter, as estimated.
     pub ln_ratio: f64,

@@ -94,7 +94,7 @@ pub(super) fn channel(samples: &[Sample], options: &Options) -> Fitted<Found> {
     Ok(Found { g, trust, condition: None, degree: None })
 }
 
-/// A view with its values for the sweeps.
+/// A photograph with the values that each iteration needs.
 struct SweepView {
     /// The two neighbouring codes, with their weights.
     codes: [(usize, f64); 2],

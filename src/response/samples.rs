@@ -234,7 +234,7 @@ fn black(seen: &[&Places], channel: usize) -> f64 {
             let Some(patch) = place.patches[i].as_ref().filter(dark) else { continue };
             match change {
                 Ordering::Greater => exposed.push(patch[channel].mean),
-                // Noise makes black darker as often as brighter.
+                // In black, noise makes the longer exposure darker as often as brighter; in other tones it never does.
                 Ordering::Less => underexposed.push(patch[channel]),
                 Ordering::Equal => {}
             }

@@ -89,7 +89,7 @@ impl<R: Read + Seek> Directories<R> {
         Some(number(&bytes, self.is_little))
     }
 
-    /// Returns the position and the length of the offset of the first directory.
+    /// Returns where in the header the offset of the first directory is stored, and in how many bytes.
     fn offset(&self) -> (u64, usize) {
         if self.is_big { (8, 8) } else { (4, 4) }
     }
@@ -185,7 +185,7 @@ pub(crate) struct Picture {
 /// # Errors
 /// The reason, if a directory is damaged.
 pub(crate) fn picture(reader: impl Read + Seek) -> Result<Picture, Reason> {
-    let damaged = || Reason::from("it has no undamaged directory; copy the file again");
+    let damaged = || Reason::from("all of its directories of tags are damaged; copy the file again");
     let mut file = Directories::of(reader).ok_or_else(damaged)?;
     let pictures = file.pictures();
     let first = pictures.first().ok_or_else(damaged)?;
@@ -268,7 +268,7 @@ pub(crate) fn as_grey(bytes: &mut [u8]) -> Option<u16> {
 pub(crate) fn refusal(e: tiff::TiffError) -> Reason {
     match e {
         tiff::TiffError::UnsupportedError(what) => {
-            format!("{what}; save it as grey or RGB, by ZIP (deflate) or uncompressed")
+            format!("{what}; save it as grey or RGB, with ZIP (deflate) compression or none")
         }
         other => format!("{other}; copy the file again, or save it as grey or RGB"),
     }

@@ -24,7 +24,7 @@ pub(crate) fn samples<R: Read + Seek>(decoder: &mut Decoder<R>, wanted: usize) -
     let stored = usize::from(kind.num_samples());
     if stored < wanted {
         return Err(format!(
-            "it has {stored} samples per pixel, and its colours need {wanted}; save it as grey or RGB"
+            "it has {stored} samples per pixel, but its colours need {wanted}; save it as grey or RGB"
         ));
     }
     let (planes, per_chunk) = if is_planar { (wanted, 1) } else { (1, stored) };

@@ -41,7 +41,12 @@ impl Options {
                 "exponent of the contrast measure; 0 ignores it",
             ),
             Setting::number("saturation", (0.0, 4.0), &mut self.saturation, "exponent of the saturation measure"),
-            Setting::number("exposedness", (0.0, 4.0), &mut self.exposedness, "exponent of the exposure measure"),
+            Setting::number(
+                "exposedness",
+                (0.0, 4.0),
+                &mut self.exposedness,
+                "exponent of the weight for good exposure",
+            ),
         ]
     }
 }

@@ -99,7 +99,7 @@ impl Guide {
 /// For each pixel of a row, its cell and the fraction of the way to the next cell.
 pub type Columns = (Vec<u32>, Vec<f32>);
 
-/// The pairs in `row` interpolated at the pixels from column `x` on.
+/// Interpolates the slopes and offsets in `row` at the pixels from column `x` on.
 #[inline(always)]
 pub fn interpolated(columns: &Columns, x: usize, row: &[[f32; 2]]) -> impl Iterator<Item = [f32; 2]> {
     columns.0[x..].iter().zip(&columns.1[x..]).map(|(&cell, &part)| {

@@ -23,7 +23,7 @@ pub struct Setting<'a> {
     pub about: &'static str,
     /// Smallest and largest allowed value.
     pub range: (f64, f64),
-    /// The variable that holds it.
+    /// The variable that holds the value of the setting.
     pub place: Place<'a>,
 }
 

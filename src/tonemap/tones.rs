@@ -38,7 +38,7 @@ impl Curve {
         Curve { entries: (0..=PER_OCTAVE * OCTAVES).map(entry).collect() }
     }
 
-    /// The luminance of the tone `v` relative to display white.
+    /// The luminance that a display shows for the tone `v`, relative to its white.
     pub fn display(&self, v: f32) -> f32 {
         let (entry, part) = place(v);
         let (p, q) = (self.entries[entry as usize][0], self.entries[entry as usize + 1][0]);

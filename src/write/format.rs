@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 pub enum Format {
     /// OpenEXR, `.exr`: radiance.
     Exr,
-    /// Radiance RGBE, `.hdr` or `.pic`: radiance.
+    /// The RGBE format of the program Radiance, `.hdr` or `.pic`: radiance.
     Hdr,
     /// TIFF with 32-bit floats or LogLuv, `.tif` or `.tiff`: radiance.
     Tiff,

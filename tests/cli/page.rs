@@ -183,7 +183,7 @@ fn large_picture_is_reduced_with_a_note() {
     );
     assert!(html.contains(&words), "{words}");
     let frame = card(&html, "p0.jpg");
-    let words = format!("The frames are here with {} × {} and look softer.", frame.width(), frame.height());
+    let words = format!("The frames are shown at {} × {} pixels, so they look softer.", frame.width(), frame.height());
     assert!(frame.width() < result.width() && html.contains(&words), "{words}");
 }
 

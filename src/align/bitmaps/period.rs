@@ -32,7 +32,7 @@ pub(crate) fn repeats(picture: &GreyPyramid, options: &MtbOptions) -> bool {
         options.exclusion,
     );
     let reach = (options.max_shift * plane.width().max(plane.height()) as f64) as i64;
-    // Shifts by d and by -d compare the same pixels.
+    // Shifts by d and by -d compare the same pairs of pixels, so half of them suffice.
     let side = (2 * reach + 1) as usize;
     let rate = |dx: i64, dy: i64| difference_shifted(&bitmaps, &bitmaps, dx, dy).rate();
     let rates: Vec<f64> = (0..side * (reach as usize + 1))

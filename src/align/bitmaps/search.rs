@@ -97,7 +97,7 @@ impl BitmapPair {
         BitmapPair::from_histograms(reference.level(level), frame.level(level), histograms, exclusion)
     }
 
-    /// The bitmaps with thresholds at the same ranks of the two histograms.
+    /// The bitmaps of both frames, with thresholds at the same percentile of each histogram.
     fn from_histograms(
         reference: &Plane<u8>,
         frame: &Plane<u8>,
@@ -219,8 +219,9 @@ const MOST_EXCESS: f64 = 1.5;
 /// candidate is followed.
 const CERTAIN_SIDE: usize = 200;
 
-/// Rounds of the descent on each level, and on the last.
+/// Rounds of the descent on each level.
 const ROUNDS: usize = 2;
+/// The same on the last level.
 const MOST_ROUNDS: usize = 4;
 
 /// The `most` motions with the lowest rates of which each is `distinct` from those before it.

@@ -61,7 +61,7 @@ pub(crate) fn agreed(pairs: &[PointPair], options: &RansacOptions, method: Robus
 
 /// Fewest inliers for guided matching: fewer may agree by chance, and guided matching would confirm them.
 const LEAST_GUIDES: usize = 8;
-/// Search radius of the first guided matching, in pixels of the level: four times the default threshold of inliers.
+/// Search radius of the first guided matching, in pixels of the pyramid level: four times the default threshold of inliers.
 const WIDE_PX: f64 = 10.0;
 /// Search radius of the second guided matching, in pixels of the level.
 const NARROW_PX: f64 = 6.0;

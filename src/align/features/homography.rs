@@ -69,7 +69,7 @@ mod tests {
     fn pairs(h: &Matrix3<f64>, n: usize) -> Vec<PointPair> {
         (0..n)
             .map(|i| {
-                // Points on a parabola modulo the image size: no three of any four are on a line.
+                // Points on a parabola, wrapped at the image size: of any four, no three are on a line.
                 let (x, y) = ((i * 1237 % 4000) as f64, (i * i * 331 % 3000) as f64);
                 let (u, v) = map(h, x, y);
                 ([x, y], [u, v])

@@ -17,7 +17,7 @@ use std::f32::consts::PI;
 pub struct Match {
     /// In the reference's features.
     pub reference: usize,
-    /// In the frame's features.
+    /// Index in the features of the frame.
     pub frame: usize,
 }
 

@@ -74,8 +74,8 @@ mod tests {
             let right = found.inliers.iter().filter(|&&i| i as u64 >= wrong).count() as u64;
             assert!(right == n - wrong && found.inliers.len() as u64 <= n - wrong + 2);
             // Uniform noise of +-0.5 px has a standard deviation of 0.29 px along each axis. Eight parameters fitted to
-            // 2 n equations have a mean leverage of 4 / n, and about six times that at the corners: for n >= 60, 0.29
-            // sqrt(2) sqrt(24 / 60) = 0.26 px. The limit is three times that.
+            // 2 n equations have a mean leverage of 4 / n, and about 24 / n at the corners. For n >= 60 the error of a
+            // corner is at most 0.29 sqrt(2) sqrt(24 / 60) = 0.26 px. The limit is three times that.
             for (x, y) in [(0.0, 0.0), (2000.0, 0.0), (2000.0, 1500.0), (0.0, 1500.0)] {
                 let ((a, b), (c, d)) = (map(&found.homography, x, y), map(&H, x, y));
                 assert!((a - c).hypot(b - d) < 0.8);

@@ -95,7 +95,8 @@ pub(super) fn rejection_reason(candidate: Option<&Candidate>) -> String {
     match candidate {
         None => "it has too little in common with the reference to estimate its motion".into(),
         Some(c) if c.agreement().agreeing + c.agreement().disagreeing < EXPLAINING_TILES => {
-            "too few tiles have enough contrast to estimate its motion: the others are black, clipped or uniform".into()
+            "too few parts of the frame have enough contrast to estimate its motion: most are black, clipped or uniform"
+                .into()
         }
         Some(c) => format!(
             "it could not be aligned: {} of {} tiles disagree with the best estimate",

@@ -24,7 +24,7 @@ fn the_smallest_model_that_explains_is_chosen() {
         (perspective(), Model::Homography),
     ] {
         let frame = taken(&truth, 1.0);
-        // As the ladder does it: the whole homography first.
+        // As in the ladder, the homography comes first.
         let pair = FramePair::new(&reference, &frame, &truth);
         let whole = by_start(&pair, &truth, 1).unwrap();
         let chosen = reduce(&pair, whole);

@@ -28,8 +28,8 @@ pub struct Point {
     pub value: f32,
     /// Gradient, in grey values per pixel.
     pub gradient: [f32; 2],
-    /// 1 / standard deviation of the residual, relative to the frames' noise: due to the noise of both frames, and to
-    /// aliasing and blur at strong gradients.
+    /// 1 / standard deviation of the residual, in units of the noise. The deviation has two causes: the noise of both
+    /// frames, and, at strong gradients, aliasing and blur.
     pub precision: f32,
 }
 

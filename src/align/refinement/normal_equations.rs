@@ -32,7 +32,7 @@ pub(crate) fn equations(
     (DMatrix::from_fn(n, n, |i, k| a[i.min(k)][i.max(k)]), DVector::from_fn(n, |i, _| b[i]))
 }
 
-/// Computes the weight of every point, 0 for residuals that are NaN.
+/// Computes the weight of every point. It is 0 where the residual is NaN.
 struct Weights<'a> {
     points: &'a [Point],
     residuals: &'a [f32],

@@ -28,7 +28,7 @@ pub(super) struct TimedExposure {
     pub mode: Mode,
     /// The position in the bracket, or the compensation, as recorded by the camera, in stops.
     pub place: Option<f64>,
-    /// The compensation in addition to such a position, in stops.
+    /// The exposure compensation in addition to the position in the bracketing sequence, in stops.
     pub bias: Option<f64>,
     /// Focal length in millimetres.
     pub focal_length_mm: Option<f64>,

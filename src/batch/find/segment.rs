@@ -58,7 +58,7 @@ const TURN: f64 = 0.7;
 const TURNS: f64 = 5.0;
 /// A frame in automatic bracket mode next to one in another mode.
 const MIXED: f64 = 8.0;
-/// A step of the light meter that the photographer did not set.
+/// Change of exposure, in stops, up to which it may come from the light meter rather than from the photographer.
 const METERED: f64 = 3.0;
 /// The same within a second, by a stop or more and evenly: cameras that do not record bracketing. Light does not
 /// change like this.

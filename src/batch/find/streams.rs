@@ -28,7 +28,9 @@ pub(super) fn check(options: &FindOptions) -> Result<()> {
     }
     match options.gap_s {
         Some(gap) if gap.is_nan() || gap < 0.0 => {
-            let reason = format!("{gap} s is not a valid pause; give the longest pause within a bracket, in seconds");
+            let reason = format!(
+                "{gap} s is not a valid pause; give the longest pause allowed between two photographs of a bracket, in seconds"
+            );
             Err(Error::Option { option: "--gap", reason })
         }
         _ => Ok(()),

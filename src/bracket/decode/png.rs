@@ -51,7 +51,9 @@ pub(super) fn decode(bytes: &[u8], allowed: &Allowed) -> Result<Stored, Reason> 
         _ => Samples::Eight(to_rgb(values, channels)),
     };
     if (frame.width as usize, frame.height as usize) != (width, height) || samples.len() != 3 * width * height {
-        return Err("its first frame is smaller than the picture; save it as a plain PNG".into());
+        return Err(
+            "it is an animated PNG whose first image is smaller than the picture; save it as a plain PNG".into()
+        );
     }
     let info = reader.info();
     // The png crate ignores a profile that it cannot decompress; an empty one is reported as damaged instead.

@@ -77,7 +77,7 @@ fn is_confirmed(written: &[ExposureTags], times: &[Tagged]) -> bool {
     written.iter().zip(times).all(is_exact) && written.iter().any(is_rounded)
 }
 
-/// Returns the exact values of all frames on the first of `series` that contains them all; a missing value stays missing.
+/// Returns the exact values of all frames, taken from the first of the `series` that contains all of them. A missing value stays missing.
 fn of_series(
     written: &[ExposureTags],
     value: impl Fn(&ExposureTags) -> Tagged,

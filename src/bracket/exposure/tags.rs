@@ -18,7 +18,7 @@ pub struct ExposureTags {
     pub f_number: Tagged,
     /// ISO sensitivity.
     pub iso: Tagged,
-    /// Whether the time has the form of a dial marking: 1/60, 13/10, 10/600, but not 16666667/1000000000.
+    /// Whether the time is written as on a shutter dial: 1/60, 13/10, 10/600 (= 1/60), but not 16666667/1000000000.
     pub is_time_printed: bool,
     /// ShutterSpeedValue: -log2 of the exposure time in seconds.
     pub shutter_speed: Option<f64>,

@@ -163,12 +163,12 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
         let off = match (largest.stops, largest.de) {
             (Some(stops), _) => format!("{stops:.3} stops"),
             (_, Some(de)) => format!("dE {de:.2}"),
-            _ => "not a number in one of them".into(),
+            _ => "NaN in one of the files".into(),
         };
         let values = |rgb: [Option<f64>; 3]| rgb.map(|v| v.map_or("-".into(), number)).join(" ");
         let (expected, actual) = (values(largest.expected), values(largest.actual));
         let place = (largest.x_px, largest.y_px);
-        row("largest", format!("{off} at {}, {} (expected {expected}, actual {actual})", place.0, place.1));
+        row("largest", format!("{off}, at x {}, y {} (expected {expected}, actual {actual})", place.0, place.1));
     }
     let is_off = compared.pixels_equal == Some(false);
     if let Some(radiance) = compared.radiance.as_ref().filter(|_| is_off) {

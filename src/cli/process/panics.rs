@@ -1,4 +1,4 @@
-//! Panics: those of decoders, which the library catches, print nothing; others end the program with a message.
+//! Handling of panics. Those of decoders are caught by the library and print nothing; others end the program with a message.
 
 use crate::cli::say;
 use std::backtrace::{Backtrace, BacktraceStatus};

@@ -10,7 +10,7 @@ use crate::align::diagnostics::FrameFeatures;
 use crate::align::features::Keypoint;
 use crate::draw::svg::{Colour, Drawing, Path, Pen};
 
-/// Keypoints only of the photograph: light vermilion.
+/// Keypoints that only the photograph has, not the bitmap: light vermilion.
 const PLAIN: Colour = Colour(255, 122, 46);
 /// Keypoints only of the bitmap: sky blue.
 const MTB: Colour = Colour(86, 196, 255);

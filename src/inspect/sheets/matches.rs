@@ -34,8 +34,8 @@ pub(in crate::inspect) fn draw(
         entry(INLIER, format!("inliers: {inliers}")),
         entry(OUTLIER, format!("outliers: {}", matching.pairs.len() - inliers)),
     ];
-    let mut notes = "Matches of plain and bitmap keypoints, merged, by the ratio test and mutually; inliers: those that the homography found \
-                     explains."
+    let mut notes = "Matches of the keypoints of photographs and bitmaps that pass the ratio test and are mutual nearest neighbours; \
+                     inliers: those that agree with the homography."
         .to_owned();
     let stride = stride(matching.pairs.len());
     if stride > 1 {

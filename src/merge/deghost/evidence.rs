@@ -202,8 +202,8 @@ fn halved(plane: &Plane<[f32; 3]>) -> Plane<[f32; 3]> {
     })
 }
 
-/// For each cell whether `frame` shows something else than `standard`. `limits` are the standard deviations from which
-/// it may, and from which it certainly does.
+/// For each cell, whether `frame` shows something else than `standard`: possibly from the first of the `limits` on, certainly
+/// from the second (in standard deviations).
 pub fn moved(
     standard: &Plane<Cell>,
     frame: &Plane<Cell>,
@@ -245,7 +245,7 @@ pub fn moved(
     moved
 }
 
-/// The difference of each cell over all channels and scales, in standard deviations.
+/// The difference of each cell, in standard deviations: over all channels, and the largest of all scales.
 fn strengths(differences: &Plane<[f32; 3]>) -> Plane<f32> {
     let mut mean = binomial(differences);
     let mut levels = Vec::new();

@@ -190,8 +190,8 @@ fn row<T: Copy>(cells: &Plane<T>, side: usize, value: impl Fn(T) -> f32, y: usiz
     row
 }
 
-/// Returns `values` where `weights` (0..=1) are 1; elsewhere the mean of the known surroundings, from as few cells as
-/// possible. 0 if nothing is known.
+/// Returns `values` where `weights` (0..=1) are 1, elsewhere the mean of the smallest neighbourhood with known values. 0
+/// if nothing is known.
 fn continued(values: &Plane<f32>, weights: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (values.width(), values.height());
     if width * height <= 1 {

@@ -25,13 +25,13 @@ use std::f64::consts::PI;
 const CELLS: usize = 256;
 /// Size of the Fourier transforms: twice the cells, so that the convolution does not wrap around.
 const SIZE: usize = 2 * CELLS;
-/// Smallest distance of the point spread, in cells.
+/// Smallest distance from a light at which the point spread function is evaluated, in cells.
 const NEAREST: f64 = 2.0;
 /// Exponents k that are tried.
 const EXPONENTS: [f64; 4] = [1.5, 2.0, 2.5, 3.0];
 /// Bins of cells by the strength of the flare.
 const BINS: usize = 24;
-/// Share of the cells of a bin, and of the pixels of a cell, that are ignored as outliers at the dark end.
+/// Shares of the darkest values that are ignored as outliers: of the cells of a bin, and of the pixels of a cell.
 const DARKER: (f64, f64) = (0.005, 0.05);
 /// A bin supports flare if its share is within this factor of the minimum.
 const NEAR: f64 = 1.35;

@@ -22,7 +22,9 @@ const OPTION: &str = "--normalize";
 /// [`Error::Option`] if it is not finite and above 0, or if radiance is calibrated.
 pub fn validate(unit_exposure: f64, calibration: &Calibration) -> Result<()> {
     if !(unit_exposure.is_finite() && unit_exposure > 0.0) {
-        return refused(format!("{unit_exposure} s is not an exposure; give t ISO / N^2 in seconds, above 0"));
+        return refused(format!(
+            "{unit_exposure} s is not a valid exposure; give (exposure time x ISO / f-number squared) in seconds, above 0"
+        ));
     }
     if calibration.camera {
         return refused("with --absolute all brackets are in cd/m2 already; remove one of the two options".into());

@@ -176,7 +176,7 @@ mod tests {
         sorted.sort_by(f32::total_cmp);
         let s = of(&pixels);
         assert_eq!((s.min, s.max), (sorted[0], sorted[9_999]));
-        // Half a bin is 2^-8 of the value.
+        // The tolerance is half a bin of the histogram: 2^-8 of the value.
         for (found, rank) in [(s.p1, 100), (s.p50, 5_000), (s.p99, 9_900)] {
             assert!((found / sorted[rank] - 1.0).abs() < 1.0 / 255.0, "{found} for {}", sorted[rank]);
         }

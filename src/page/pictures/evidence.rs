@@ -183,7 +183,7 @@ fn opened((w, h): (usize, usize), words: &str) -> String {
     )
 }
 
-/// Returns the photograph as an SVG element, `left` units from the left.
+/// Returns the photograph as an SVG element for the background, at x = `left`.
 fn behind(photograph: &Picture, left: usize) -> String {
     let (w, h) = (UNITS * photograph.width, UNITS * photograph.height);
     format!(r#"<image href="{}" x="{left}" width="{w}" height="{h}" preserveAspectRatio="none"/>"#, photograph.address)

@@ -12,7 +12,7 @@ use crate::plane::Plane;
 const MOVEMENT: usize = 900;
 const GAIN: usize = 200;
 
-/// Colours of motion: red, green, blue and opacity where no frames, some, most, and all were rejected.
+/// Colours (red, green, blue, opacity) of places where none, some, most or all of the other frames were not merged.
 const MOVED: [[u8; 4]; 4] = [[230, 0, 126, 0], [230, 0, 126, 120], [230, 0, 126, 150], [230, 0, 126, 180]];
 /// Mask values from which on some, half, and nearly all of the frames were rejected: one of 15 is some.
 const FEW: u8 = 16;

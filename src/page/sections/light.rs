@@ -85,7 +85,7 @@ fn histogram(page: &Page, report: &Report, curve: &ResponseCurve) -> Option<Stri
     let bounds = report.radiance.as_ref().map_or_else(String::new, |m| {
         let pixels = (report.crop.width_px * report.crop.height_px).max(1) as f64;
         format!(
-            " {} of the pixels are clipped even in the shortest frame, and {} are black even in the longest. There the radiance is only a bound.",
+            " {} of the pixels are clipped even in the shortest frame, and {} are black even in the longest. There only a bound of the radiance is known.",
             percent(m.all_clipped as f64 / pixels),
             percent(m.all_black as f64 / pixels)
         )

@@ -191,7 +191,7 @@ fn comparison(frame: &FrameReport) -> String {
 fn curves(xor: &Xor, frame: &FrameReport) -> String {
     let [angle, dx, dy] = &xor.plots;
     let about = if frame.alignment.status.rejected_by().is_some() {
-        "the best motion for the bitmaps"
+        "the motion for which the bitmaps differ least"
     } else {
         "the motion found"
     };

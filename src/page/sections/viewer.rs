@@ -154,7 +154,8 @@ fn caption(page: &Page, report: &Report, result: Option<&Picture>) -> String {
     }
     let held = page.frames.first().map(|frame| &frame.photograph).filter(|frame| frame.width < crop.width_px);
     if let Some(frame) = held.filter(|frame| result.is_none_or(|result| frame.width < result.width)) {
-        let _ = write!(words, " The frames are here with {} × {} and look softer.", frame.width, frame.height);
+        let _ =
+            write!(words, " The frames are shown at {} × {} pixels, so they look softer.", frame.width, frame.height);
     }
     words
 }

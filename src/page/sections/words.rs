@@ -219,7 +219,8 @@ fn response(report: &Report) -> Option<String> {
     let is_local = report.local_processing.as_ref().is_some_and(|local| local.locally_processed);
     Some(match (&response.fallback, response.model) {
         (Some(_), _) if is_local => {
-            "Its response cannot be measured from frames that the camera tone-mapped: the sRGB curve was used.".into()
+            "The response cannot be measured, because the camera tone-mapped the frames; the sRGB curve was used."
+                .into()
         }
         (Some(why), model) => {
             format!("Its response could not be measured ({}): <code>{}</code> was used.", escape(why), escape(model))

@@ -67,7 +67,7 @@ pub(super) fn collect(
         return Err(Error::NoResponse { path, reason });
     }
     if left_out.is_empty() && found_given < options.pipeline.align.given.len() {
-        let reason = "a photograph given there is in none of the brackets".to_owned();
+        let reason = "a photograph named there is in no bracket".to_owned();
         return Err(Error::Option { option: "--leave-out or --unmoved", reason });
     }
     warnings.extend(left_out);

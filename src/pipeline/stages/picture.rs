@@ -101,7 +101,7 @@ impl Picture {
     /// Creates the picture of fused frames, in codes of the picture's colour space.
     ///
     /// # Errors
-    /// That of a spot that is not grey.
+    /// If the grey spot of the white balance is not grey.
     pub fn fused(channels: Channels, options: &Options) -> Result<Picture> {
         let (width, height) = (channels[0].width(), channels[0].height());
         let (primaries, encoder) = (options.colours.primaries(), Encoder::of(options.colours));

@@ -176,7 +176,7 @@ impl SavedResponse {
             Format::Csv => {
                 let text = csv::write(&self.curve);
                 // A billionth of white or less is 0 in nine decimals.
-                let steep = |_| refused("nine decimals are not enough for a curve as steep as this");
+                let steep = |_| refused("the curve is too steep for the nine decimals of this format");
                 let curve = csv::read(&text).map_err(steep)?;
                 Ok(Encoded { text, curve })
             }

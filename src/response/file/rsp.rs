@@ -39,8 +39,9 @@ pub(crate) fn read(text: &str) -> Result<ResponseCurve, String> {
         };
         let word = numbers.next().ok_or_else(short)?;
         let degree = word.parse().ok().filter(|d| *d <= MOST_DEGREE);
-        let degree = degree
-            .ok_or_else(|| format!("the degree of {name} is {word:?}; a number from 0 to {MOST_DEGREE} is required"))?;
+        let degree = degree.ok_or_else(|| {
+            format!("{word:?} is not a polynomial degree of {name}; a number from 0 to {MOST_DEGREE} is required")
+        })?;
         let mut coefficients = Vec::with_capacity(degree + 1);
         for _ in 0..=degree {
             let word = numbers.next().ok_or_else(short)?;
@@ -57,7 +58,7 @@ pub(crate) fn read(text: &str) -> Result<ResponseCurve, String> {
     // One scale for the three, so that the ratios of hdrgen's channels are kept.
     let ln_mid = channels.iter().map(|x| libm::log(x[MID])).sum::<f64>() / 3.0;
     ResponseCurve::new(channels.map(|x| x.map(|v| libm::log(v) - ln_mid)))
-        .ok_or_else(|| "its exposures do not fit into a 32-bit float".to_owned())
+        .ok_or_else(|| "its exposures are too large or too small for a 32-bit float".to_owned())
 }
 
 /// Raises the darkest codes, where hdrgen's polynomials may fall or be negative, to a line through 0.

@@ -123,7 +123,7 @@ fn check_plausible(g: &[f64; CODES], fit: &Fit) -> Fitted<()> {
     let (codes, rise) = FLAT;
     let flat = (16..=240 - codes).find(|&z| stops(g[z + codes] - g[z]) < rise);
     if let Some(z) = flat {
-        Err(format!("the recovered curve does not rise from code {z} to code {}", z + codes))
+        Err(format!("the recovered response does not rise from code value {z} to code {}", z + codes))
     } else if !(CONTRAST.0..=CONTRAST.1).contains(&contrast) {
         Err(format!("the recovered curve has {contrast:.1} stops from code 16 to code 240"))
     } else if fit.residual_stops.is_nan() || fit.residual_stops > RESIDUAL {

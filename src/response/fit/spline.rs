@@ -51,7 +51,7 @@ impl Basis {
         Basis { rows: (0..CODES).map(row).collect(), count }
     }
 
-    /// The 256 values themselves, without a basis.
+    /// The 256 values themselves instead of spline coefficients.
     #[cfg(test)]
     pub fn values() -> Self {
         Basis { rows: (0..CODES).map(|z| (z, vec![1.0])).collect(), count: CODES }

@@ -120,7 +120,7 @@ impl Light {
 pub(super) const OPTION: &str = "--white-balance";
 /// The accepted forms of the option, for messages.
 const FORMS: &str = "give `auto`, `as-shot`, a temperature as in `5500` or `5500K`, with a tint as in `5500,10`, or a grey spot of the picture as in `1200,800` \
-                     or, if that could also be a light, `spot:2100,90`";
+                     (`spot:2100,90` if the numbers could also be a temperature and a tint)";
 /// Largest deviation from the perpendicular to the locus, in tints; larger ones occur beyond the ends of the range.
 const BESIDE: f64 = 1.0;
 

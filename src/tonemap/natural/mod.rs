@@ -84,7 +84,7 @@ const STEP: f64 = 2.0;
 /// Largest number of exposures.
 const MOST_EXPOSURES: usize = 16;
 
-/// Shares of the cells of the fused picture that lie beyond its dark and its bright end.
+/// Shares of the cells of the fused picture that become black, and white.
 const ENDS: (f64, f64) = (0.005, 0.003);
 /// Black is this share of the code value of the dark end, which counts as at most the second value.
 const BLACK: (f32, f32) = (0.5, 0.15);

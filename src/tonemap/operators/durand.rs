@@ -38,7 +38,7 @@ impl Options {
                 "reach",
                 (0.002, 0.2),
                 &mut self.reach,
-                "smoothing radius of the base, as a fraction of the longer side",
+                "smoothing radius of the base layer, as a fraction of the longer side",
             ),
             Setting::number("edge", (0.1, 5.0), &mut self.edge_stops, "differences above this many stops are edges"),
             Setting::saturation(&mut self.saturation),

@@ -1,6 +1,6 @@
 //! Gradient domain compression: attenuates steep gradients at every scale, keeps gentle ones, and integrates the result.
 //!
-//! In: a scene. Out: its tones. Cost: 1 us a cell and core, of which there are at most `CELLS`: 0.2 s.
+//! In: a scene. Out: its tones. Cost: 1 us of one core per cell, of at most `CELLS` cells: 0.2 s.
 //! Source: Fattal, Lischinski, Werman, "Gradient Domain High Dynamic Range Compression" (2002), section 3, equations 3 to 6
 //! (integration), and section 4 (attenuation).
 

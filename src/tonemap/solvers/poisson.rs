@@ -108,7 +108,7 @@ fn sum(plane: &Plane<f32>) -> f64 {
 /// One axis of a grid of cells, the last of which may be narrower than the others.
 #[derive(Debug, Clone)]
 struct Axis {
-    /// Width of each cell, in cells of the finest grid.
+    /// Width of each cell of this grid, in units of a cell of the finest grid.
     widths: Vec<f32>,
     /// Before each cell and after the last: the reciprocal of the distance between the adjacent centres; 0 at the ends.
     links: Vec<f32>,

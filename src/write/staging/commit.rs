@@ -146,9 +146,9 @@ impl Pending {
         let Pending { target, file, syncing } = self;
         let synced = file.into_inner().map_err(|e| e.into_error()).and_then(|Open(file)| {
             match syncing {
-                Some(thread) => {
-                    thread.join().map_err(|_| io::Error::other("the thread that waits for the disk failed"))??
-                }
+                Some(thread) => thread
+                    .join()
+                    .map_err(|_| io::Error::other("the thread that writes to the disk ended unexpectedly"))??,
                 None => file.file().sync_all()?,
             }
             Ok(file)
@@ -281,7 +281,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let (a, b, c) = (dir.path().join("a.exr"), dir.path().join("b.exr"), dir.path().join("c.exr"));
         fs::write(&a, "old").unwrap();
-        // A folder at the third name makes its renaming fail after two have succeeded.
+        // There is a folder at the third name, so the third renaming fails after two have succeeded.
         fs::create_dir(&c).unwrap();
         let files = vec![pending(&a, "new"), pending(&b, "new"), pending(&c, "new")];
         assert!(matches!(commit(files, true).unwrap_err(), Error::Write { path, .. } if path == c));

@@ -125,7 +125,7 @@ fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
 fn replace_reservation(from: &Path, to: &Path) -> io::Result<()> {
     OpenOptions::new().write(true).create_new(true).open(to)?;
     fs::rename(from, to).inspect_err(|_| {
-        // The first failure is the one to report.
+        // Ignored, because the earlier failure is reported.
         let _ = fs::remove_file(to);
     })
 }

@@ -70,7 +70,7 @@ fn made(primaries: Primaries, curve: Curve, notes: &mut Vec<String>) -> Option<V
     let [red, green, blue] = [primaries.red, primaries.green, primaries.blue].map(|[x, y]| format!("{x:.4} {y:.4}"));
     let profile = Profile::of(&primaries, curve, &format!("PNG: {red}, {green}, {blue}, {power}"));
     if profile.is_none() {
-        notes.push("its cHRM chunk does not span a colour space and was ignored; sRGB is assumed".to_owned());
+        notes.push("its cHRM chunk defines no colour space and was ignored; sRGB is assumed".to_owned());
     }
     profile.map(|profile| profile.icc)
 }

@@ -204,7 +204,7 @@ mod tests {
         assert_eq!(overlap(&view(40, 40, 1.0), &view(40, 40, 2.5)), None);
         assert_eq!(overlap(&view(40, 40, 1.0), &View::of(200, 300, |_, _| 0)), None);
         assert_eq!(overlap(&View::of(1, 1, |_, _| 7), &View::of(1, 1, |_, _| 9)), None);
-        // A strip as long as a picture can be.
+        // A strip of the largest width that a picture can have.
         let strip = || View::of(65_500, 4, |_, x| (x / 300) as u8);
         assert_eq!((strip().height(), overlap(&strip(), &strip())), (1, None));
     }

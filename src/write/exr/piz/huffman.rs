@@ -253,7 +253,7 @@ impl<'a> Bits<'a> {
     fn put(&mut self, bits: u64, count: u64) {
         self.held += count;
         self.word |= bits << (64 - self.held);
-        // All 8 bytes are written; incomplete ones are written again the next time.
+        // All 8 bytes are written. Those that are not full yet are overwritten the next time.
         self.out[self.at..self.at + 8].copy_from_slice(&self.word.to_be_bytes());
         self.at += (self.held >> 3) as usize;
         self.word <<= self.held & 0x38;

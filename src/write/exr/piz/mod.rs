@@ -75,7 +75,7 @@ impl Packer {
         let length = out.len();
         out.extend_from_slice(&[0; 4]);
         self.coder.encode(coded, out);
-        // 32 rows never have 2 GB.
+        // A block of 32 rows is always smaller than 2 GB, so its length fits.
         let packed = (out.len() - length - 4) as u32;
         out[length..length + 4].copy_from_slice(&packed.to_le_bytes());
         if out.len() - start >= 2 * self.planes.len() {
@@ -84,7 +84,7 @@ impl Packer {
         }
     }
 
-    /// Numbers the values that occur, and always 0, in order. Appends their bitmap without 0, from its first byte
+    /// Assigns consecutive numbers to the values that occur, in order; 0 always has one. Appends their bitmap without 0, from its first byte
     /// that is not empty to the last. Returns the highest number.
     fn number(&mut self, out: &mut Vec<u8>) -> u16 {
         self.occurs.fill(0);
