@@ -11,7 +11,8 @@
 //! 3. [`bitmaps`]: median threshold bitmaps (Ward 2003). [`features`]: SIFT, matching, RANSAC, LMedS. Neither uses the other.
 //! 4. [`refinement`]: Lucas & Kanade on the pixels. [`agreement`]: the check of a transform, tile by tile.
 //! 5. [`preset`] and [`transforms_file`]: transforms that are not estimated, and their file.
-//! 6. `ladder`: the order of the methods, and the choice among what they find. `diagnostics`: what `inspect` shows.
+//! 6. `local`: the parts of the picture that a transform does not fit.
+//! 7. `ladder`: the order of the methods, and the choice among what they find. `diagnostics`: what `inspect` shows.
 //!
 //! `auto` goes from the cheapest method to the most expensive and stops as soon as the tiles of the picture agree:
 //! bitmaps, refined on the pixels; features; the other minima of the bitmap search. Every result is refined and then
@@ -27,6 +28,7 @@ pub mod features;
 #[doc(hidden)]
 pub mod grey;
 mod ladder;
+mod local;
 #[doc(hidden)]
 pub mod photometric;
 pub mod preset;
@@ -49,7 +51,7 @@ use features::{RansacOptions, SiftOptions};
 pub use grey::{GreyPyramid, grey_pyramid, searched_pyramid};
 use ladder::search;
 use preset::Preset;
-pub use result::{Alignment, Estimate, FeatureCounts, KeypointCounts, Placement, Rect, RejectedBy, Status};
+pub use result::{Alignment, Displaced, Estimate, FeatureCounts, KeypointCounts, Placement, Rect, RejectedBy, Status};
 use result::{unmoved_but, warnings};
 pub use transform::{Model, Transform};
 

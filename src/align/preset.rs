@@ -25,14 +25,14 @@ pub enum PresetTransform {
     /// The user states that the frame did not move.
     Unmoved,
     /// A placement that was estimated earlier.
-    Known(Placement, FeatureCounts),
+    Known(Box<Placement>, FeatureCounts),
 }
 
 impl PresetTransform {
     /// The placement, and the numbers of keypoints and inliers.
     pub(crate) fn found(&self) -> Found {
         let placement = match self {
-            PresetTransform::Known(placement, features) => return (placement.clone(), *features),
+            PresetTransform::Known(placement, features) => return (Placement::clone(placement), *features),
             PresetTransform::Unmoved => Placement::by_user(Transform::Identity),
             PresetTransform::Excluded => Placement::excluded(RejectedBy::User, "excluded by the user".into()),
         };

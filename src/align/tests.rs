@@ -191,7 +191,7 @@ fn place_given_that_no_camera_can_have_is_an_error_that_names_the_frame() {
     let by = RejectedBy::Alignment;
     let not_known = Placement::Rejected { by, confidence: f64::NAN, reason: None };
     for (placement, says) in [(no_number, "homography"), (not_known, "confidence")] {
-        let place = preset::PresetTransform::Known(placement, FeatureCounts::default());
+        let place = preset::PresetTransform::Known(Box::new(placement), FeatureCounts::default());
         let given = vec![Preset { path: "1".into(), place }];
         let error = align(&bracket, &AlignOptions { given, ..AlignOptions::default() }).unwrap_err();
         assert!(error.is_usage() && error.to_string().contains("1: it"), "{error}");
@@ -204,7 +204,7 @@ fn small_overlap_warns_and_no_overlap_fails() {
     let bracket = bracket(&[(Transform::Identity, 0.0), (Transform::Identity, 1.0), (Transform::Identity, 2.0)]);
     let align = |shifts: [f64; 2]| {
         let known = |dx| Placement::by_user(shift(dx, 0.0));
-        let place = |dx| preset::PresetTransform::Known(known(dx), FeatureCounts::default());
+        let place = |dx| preset::PresetTransform::Known(Box::new(known(dx)), FeatureCounts::default());
         let given = [1, 2].map(|i| Preset { path: format!("{i}").into(), place: place(shifts[i - 1]) }).to_vec();
         super::align(&bracket, &AlignOptions { given, ..AlignOptions::default() })
     };

@@ -72,7 +72,7 @@ impl SavedAlignment {
     /// The placements of all frames of `bracket` by `alignment`.
     pub fn of(bracket: &Bracket, alignment: &Alignment) -> Self {
         let name = |i: usize| bracket.frames()[i].path().file_name().unwrap_or_default().into();
-        let known = |i: usize| PresetTransform::Known(alignment.placements[i].clone(), alignment.features[i]);
+        let known = |i: usize| PresetTransform::Known(Box::new(alignment.placements[i].clone()), alignment.features[i]);
         let others = (0..bracket.frames().len()).filter(|&i| i != bracket.reference_index());
         SavedAlignment {
             size: (bracket.width(), bracket.height()),
@@ -136,7 +136,7 @@ impl SavedAlignment {
         let frames = document.frames.into_iter().map(|frame| {
             let file = frame.file.clone();
             let (placement, features) = found(frame, size).map_err(|reason| wrong(format!("{file}: {reason}")))?;
-            Ok(Preset { path: file.into(), place: PresetTransform::Known(placement, features) })
+            Ok(Preset { path: file.into(), place: PresetTransform::Known(Box::new(placement), features) })
         });
         Ok(SavedAlignment { size, reference: document.reference.into(), frames: frames.collect::<Result<_>>()? })
     }
@@ -197,20 +197,17 @@ fn found(frame: FrameDocument, size: (usize, usize)) -> std::result::Result<Foun
         Placement::Rejected { by, confidence: frame.confidence.unwrap_or(by_default), reason: frame.reason }
     } else {
         let homography = frame.homography.ok_or("it is to be merged, but has no homography")?;
+        let h = Matrix3::from_row_slice(&homography);
         let transform = match frame.status {
-            Status::Assumed if frame.model == Some(Model::Unmoved) => Transform::Identity,
-            Status::Aligned | Status::Assumed => {
-                let h = Matrix3::from_row_slice(&homography);
-                let last = h[(2, 2)];
-                Transform::Homography(if last == 1.0 { h } else { h / last })
-            }
-            _ => Transform::Identity,
+            Status::Unmoved | Status::Assumed if h == Matrix3::identity() => Transform::Identity,
+            _ => Transform::Homography(if h[(2, 2)] == 1.0 { h } else { h / h[(2, 2)] }),
         };
         let estimate = Estimate {
             transform,
-            model: frame.model.unwrap_or(Model::of(&transform)),
+            model: frame.model.filter(|model| *model != Model::Unmoved).unwrap_or(Model::of(&transform)),
             error_px: frame.error_px,
             confidence: frame.confidence.unwrap_or(1.0),
+            displaced: None,
             reason: frame.reason,
         };
         match frame.status {
@@ -229,14 +226,16 @@ mod tests {
     fn saved() -> SavedAlignment {
         let estimate = |transform: Transform| {
             let model = Model::of(&transform);
-            Estimate { transform, model, error_px: None, confidence: 0.75, reason: None }
+            Estimate { transform, model, error_px: None, confidence: 0.75, displaced: None, reason: None }
         };
         let rejected = |by| Placement::Rejected { by, confidence: 0.75, reason: None };
         let h = Matrix3::new(1.0 + 1e-9, 0.1 / 3.0, -7.25, -0.03, 0.999, 1.0 / 7.0, 1e-7, -2e-8, 1.0);
         let keypoints = Some(KeypointCounts { plain: 3, mtb: 2, merged: 4 });
         let features = FeatureCounts { inliers: Some(1), keypoints };
-        let given =
-            |name: &str, placement| Preset { path: name.into(), place: PresetTransform::Known(placement, features) };
+        let given = |name: &str, placement| Preset {
+            path: name.into(),
+            place: PresetTransform::Known(Box::new(placement), features),
+        };
         SavedAlignment {
             size: (400, 300),
             reference: "b.jpg".into(),

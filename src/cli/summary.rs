@@ -146,7 +146,10 @@ fn problems(report: &Report, room: usize) -> String {
     let excluded = which(&|f| matches!(f.alignment.status, Status::Excluded | Status::Flash));
     // If the camera did not move in the other frames, assumed frames are certain.
     let assumed = which(&|f| f.alignment.status == Status::Assumed && !report.stood_still());
-    let uncertain = which(&|f| f.alignment.status == Status::Aligned && f.alignment.confidence < UNCERTAIN);
+    let is_placed = |f: &FrameReport| matches!(f.alignment.status, Status::Aligned | Status::Unmoved);
+    // If nothing could be aligned, a warning of its own gives the reason.
+    let is_uncertain = |f: &FrameReport| f.alignment.reason.is_none() && f.alignment.confidence < UNCERTAIN;
+    let uncertain = which(&|f| is_placed(f) && is_uncertain(f));
     let flash = which(&|f| f.alignment.status == Status::Flash);
     let is_local = report.local_processing.as_ref().is_some_and(|local| local.locally_processed);
     let named = rejected.len() + flash.len() + assumed.len() + uncertain.len() + usize::from(is_local);

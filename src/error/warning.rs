@@ -41,12 +41,19 @@ pub enum Warning {
         is_still: bool,
     },
     /// A frame was aligned with low confidence.
-    #[error("{}: aligned with low confidence ({confidence:.2}); check the result, or exclude it with --leave-out", path.display())]
+    #[error(
+        "{}: aligned with low confidence ({confidence:.2}){}; check the result, or exclude it with --leave-out",
+        path.display(), displaced_words(*displaced_fraction, *displaced_px)
+    )]
     LowConfidence {
         /// The frame.
         path: PathBuf,
         /// The confidence, 0..1.
         confidence: f64,
+        /// Share of the picture that is displaced, 0..1.
+        displaced_fraction: f64,
+        /// Median displacement of these parts, in pixels.
+        displaced_px: f64,
     },
     /// All frames together cover less than half of the reference.
     #[error(
@@ -247,6 +254,17 @@ pub enum Warning {
 /// The names of the files, separated by commas.
 fn named(paths: &[PathBuf]) -> String {
     paths.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ")
+}
+
+/// Displaced share of the picture from which a warning about low confidence mentions it.
+const MENTIONED_FRACTION: f64 = 0.01;
+
+/// How much of the picture is displaced; nothing if it is not worth mentioning.
+fn displaced_words(fraction: f64, px: f64) -> String {
+    if fraction < MENTIONED_FRACTION {
+        return String::new();
+    }
+    format!(": {:.0} % of the picture is displaced by about {px:.0} px, by depth or movement", 100.0 * fraction)
 }
 
 impl Warning {

@@ -182,6 +182,10 @@ pub struct AlignmentReport {
     pub error_px: Option<f64>,
     /// Confidence, 0..1; below 0.5 is low.
     pub confidence: f64,
+    /// Share of the picture that the transform does not fit, 0..1, because of depth or movement; null if not measured.
+    pub displaced_fraction: Option<f64>,
+    /// Median displacement of these parts, in px.
+    pub displaced_px: Option<f64>,
     /// Why the frame was rejected, excluded or not moved, or how its transform was inferred.
     pub reason: Option<String>,
 }
@@ -304,6 +308,8 @@ fn frame_report(
             keypoints: features.keypoints,
             error_px: placement.error_px(),
             confidence: placement.confidence(),
+            displaced_fraction: placement.displaced().map(|d| d.fraction),
+            displaced_px: placement.displaced().map(|d| d.px),
             reason: placement.reason().map(str::to_owned),
         },
     }

@@ -5,15 +5,15 @@
 //! Source: normalised cross-correlation (Lewis, "Fast Normalized Cross-Correlation", Vision Interface 1995), which does
 //! not depend on gain and offset, searched within a few pixels.
 
+pub(crate) mod pattern;
 mod tile;
 mod tile_fit;
 
 pub(crate) use tile_fit::{TileFit, fit};
 
+use crate::align::agreement::pattern::Warped;
 use crate::align::agreement::tile::{Tile, check_tile};
 use crate::align::photometric::CommonExposure;
-use crate::align::transform::map;
-use crate::plane::Plane;
 use crate::statistics::median;
 use nalgebra::Matrix3;
 use rayon::prelude::*;
@@ -99,7 +99,7 @@ pub struct TileCheck {
 /// Checks the transform `h`, reference -> frame in pixels of the planes, by tiles.
 pub fn check_tiles(both: &CommonExposure, h: &Matrix3<f64>) -> TileCheck {
     let (width, height) = (both.reference.width(), both.reference.height());
-    let warped = warped_to_reference(&both.frame, h, (width, height));
+    let warped = Warped::new(&both.frame, h, (width, height), REACH as usize);
     // In a strip longer than TILES squares, a tile spans the whole width.
     let side = width.max(height).div_ceil(TILES).min(width.min(height)).max(LEAST_SIDE);
     let (columns, rows) = (width / side, height / side);
@@ -129,36 +129,6 @@ pub fn check_tiles(both: &CommonExposure, h: &Matrix3<f64>) -> TileCheck {
     sum.correlation = total / (sum.agreeing + sum.disagreeing).max(1) as f64;
     TileCheck { agreement: sum, correlations, displacements }
 }
-
-/// The frame on the reference's grid, with a margin of [`REACH`] pixels. NaN in the margin and outside the frame.
-fn warped_to_reference(frame: &Plane<f32>, h: &Matrix3<f64>, (width, height): (usize, usize)) -> Plane<f32> {
-    let margin = REACH as usize;
-    let (right, bottom) = (frame.width() as f64 - 1.0, frame.height() as f64 - 1.0);
-    let mut warped = Plane::filled(width + 2 * margin, height + 2 * margin, f32::NAN);
-    warped.fill_rows(|row_at, row| {
-        let Some(y) = row_at.checked_sub(margin).filter(|&y| y < height) else { return };
-        // Over a few pixels a homography is linear to within a ten-thousandth of a pixel.
-        for (start, piece) in row[margin..margin + width].chunks_mut(PIECE).enumerate().map(|(i, p)| (i * PIECE, p)) {
-            let from = map(h, start as f64, y as f64);
-            let to = map(h, (start + PIECE) as f64, y as f64);
-            let step = ((to.0 - from.0) / PIECE as f64, (to.1 - from.1) / PIECE as f64);
-            for (i, v) in piece.iter_mut().enumerate() {
-                let (u, w) = (from.0 + step.0 * i as f64, from.1 + step.1 * i as f64);
-                if u >= 0.0 && w >= 0.0 && u < right && w < bottom {
-                    let (x, y) = (u as usize, w as usize);
-                    let (fx, fy) = ((u - x as f64) as f32, (w - y as f64) as f32);
-                    let (upper, lower) = (&frame.row(y)[x..x + 2], &frame.row(y + 1)[x..x + 2]);
-                    let (top, bottom) = (upper[0] + fx * (upper[1] - upper[0]), lower[0] + fx * (lower[1] - lower[0]));
-                    *v = top + fy * (bottom - top);
-                }
-            }
-        }
-    });
-    warped
-}
-
-/// Pixels of a row whose positions are interpolated linearly.
-const PIECE: usize = 16;
 
 #[cfg(test)]
 mod tests;

@@ -4,6 +4,7 @@ use super::*;
 use crate::align::photometric::ToneTables;
 use crate::align::scene::{Scene, Shot, photograph, rigid, shift};
 use crate::align::transform::Transform;
+use crate::plane::Plane;
 
 const SIZE: (usize, usize) = (480, 320);
 

@@ -76,7 +76,7 @@ pub(super) fn evaluate_with_fit(pair: &FramePair, transform: Transform, noise_px
     let level = measured_level(pair.reference());
     let (width, height) = pair.size();
     let h = on_level(&transform.matrix(width, height), level);
-    let both = &pair.level(level).both;
+    let both = pair.level(level);
     let tiles = check_tiles(both, &h);
     let fit = agreement::fit(&tiles, &h, (both.reference.width(), both.reference.height()));
     let tolerance_px = tolerance_px((width, height));

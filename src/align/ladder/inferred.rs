@@ -107,6 +107,7 @@ impl Search<'_> {
                     model: Model::of(&place.transform),
                     error_px: Some(place.bound_px),
                     confidence: INFERRED_CONFIDENCE / (1.0 + off * off),
+                    displaced: None,
                     reason: Some(format!("nearly all pixels are {tone}; the camera {motion} the other {count} frames")),
                 });
             }

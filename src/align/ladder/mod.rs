@@ -7,12 +7,13 @@
 //! settle it, it is also aligned to its nearest aligned neighbour in exposure, by features, and from the other minima
 //! of the bitmap search (`doubtful`). `selection` chooses among the candidates, and `reduction` the smallest sufficient
 //! model. The transform of a frame with too little detail is inferred from the other frames (`inferred`,
-//! `camera_track`).
+//! `camera_track`). At last, `local_check` measures what no single transform can fit.
 
 mod camera_track;
 mod candidate;
 mod doubtful;
 mod inferred;
+mod local_check;
 mod reduction;
 mod selection;
 mod starts;
@@ -241,6 +242,7 @@ impl Search<'_> {
                     model: Model::Unmoved,
                     error_px: None,
                     confidence: 0.0,
+                    displaced: None,
                     reason: Some(reason.clone()),
                 });
             }
@@ -267,7 +269,7 @@ pub(crate) fn search(
             Plane::filled(bracket.width(), bracket.height(), 0)
         })
     };
-    let found = find(&Search {
+    let search = Search {
         pyramids: &pyramids,
         grey: &grey,
         contents: &contents,
@@ -277,8 +279,10 @@ pub(crate) fn search(
         reference: bracket.reference_index(),
         given,
         options,
-    });
-    failed.into_inner().map_or(Ok(found), Err)
+    };
+    let (mut placements, counts) = find(&search);
+    search.check_locally(&mut placements);
+    failed.into_inner().map_or(Ok((placements, counts)), Err)
 }
 
 #[cfg(test)]

@@ -113,6 +113,7 @@ pub(crate) fn estimate(candidate: &Candidate) -> Estimate {
         model: Model::of(&candidate.transform),
         error_px: (candidate.agreement().agreeing > 0).then_some(candidate.error_px),
         confidence: candidate.confidence(),
+        displaced: None,
         reason: None,
     }
 }

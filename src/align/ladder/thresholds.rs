@@ -65,3 +65,9 @@ pub(super) const CORROBORATED_CONFIDENCE: f64 = 0.7;
 pub(crate) const INFERRED_CONFIDENCE: f64 = 0.6;
 /// Least confidence of a frame from which the transforms of others are inferred, 0..=1: more likely right than wrong.
 pub(super) const INFERRING_CONFIDENCE: f64 = 0.5;
+
+// The local check.
+
+/// Displaced share of the picture that halves the confidence, so that it is below one half if 3 % are displaced.
+/// Smaller, because the share is underestimated at edges of depth. Measured on rendered scenes.
+pub(super) const DISPLACED_HALVES: f64 = 0.025;

@@ -24,7 +24,7 @@ pub(crate) fn points<'a>(pair: &'a FramePair) -> &'a [Point] {
         let (from, to) = (measured_level(pair.reference()), finest_level(pair.reference()));
         let (plane, tones) = (pair.reference().level(to), pair.tones(to));
         let finer = level_to_full(from - to);
-        let chosen = pair.level(from).points.par_iter().filter_map(|p| {
+        let chosen = pair.points(from).par_iter().filter_map(|p| {
             let (x, y) = map(&finer, p.x, p.y);
             // The four pixels in the middle of the patch are around (x, y).
             let first = |v: f64| (v - 0.5 * (CHOICE as f64 - 1.0) + 0.5) as i32;
@@ -170,7 +170,7 @@ mod tests {
     fn patch_equals_that_part_of_the_whole_level() {
         let (reference, frame, truth) = pair();
         let pair = FramePair::new(&reference, &frame, &truth);
-        let whole = &pair.level(0).both;
+        let whole = pair.level(0);
         let points = points(&pair);
         let mut patches = Patches::unread(points.len());
         let mut out = vec![0.0; points.len()];

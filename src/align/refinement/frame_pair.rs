@@ -48,15 +48,6 @@ impl Point {
     }
 }
 
-/// One level of both frames, and the points to compare.
-#[derive(Debug)]
-pub struct Level {
-    /// Both frames at a common exposure.
-    pub both: CommonExposure,
-    /// The pixel with the largest weighted gradient of every cell of the reference.
-    pub points: Vec<Point>,
-}
-
 /// A reference and a frame to align to it.
 #[derive(Debug)]
 pub struct FramePair<'a> {
@@ -65,7 +56,8 @@ pub struct FramePair<'a> {
     /// The approximate transform.
     start: Matrix3<f64>,
     tones: Vec<OnceLock<ToneTables>>,
-    levels: Vec<OnceLock<Level>>,
+    levels: Vec<OnceLock<CommonExposure>>,
+    points: Vec<OnceLock<Vec<Point>>>,
     /// See [`fine_points`](Self::fine_points).
     fine_points: OnceLock<Vec<Point>>,
     /// See [`patches`](Self::patches).
@@ -79,7 +71,17 @@ impl<'a> FramePair<'a> {
         let start = start.matrix(width, height);
         let tones = (0..reference.len()).map(|_| OnceLock::new()).collect();
         let levels = (0..reference.len()).map(|_| OnceLock::new()).collect();
-        FramePair { reference, frame, start, tones, levels, fine_points: OnceLock::new(), patches: Mutex::default() }
+        let points = (0..reference.len()).map(|_| OnceLock::new()).collect();
+        FramePair {
+            reference,
+            frame,
+            start,
+            tones,
+            levels,
+            points,
+            fine_points: OnceLock::new(),
+            patches: Mutex::default(),
+        }
     }
 
     /// The reference.
@@ -123,14 +125,18 @@ impl<'a> FramePair<'a> {
         self.reference.size(0)
     }
 
-    /// Both frames on level `i`.
-    pub fn level(&self, i: usize) -> &Level {
-        self.levels[i].get_or_init(|| {
-            let both = CommonExposure::new(self.reference.level(i), self.frame.level(i), self.tones(i));
+    /// Both frames at a common exposure on level `i`.
+    pub fn level(&self, i: usize) -> &CommonExposure {
+        self.levels[i].get_or_init(|| CommonExposure::new(self.reference.level(i), self.frame.level(i), self.tones(i)))
+    }
+
+    /// The points to compare on level `i`: the pixel with the largest weighted gradient of every cell of the reference.
+    pub fn points(&self, i: usize) -> &[Point] {
+        self.points[i].get_or_init(|| {
+            let both = self.level(i);
             let cells = if i <= measured_level(self.reference) { CELLS.0 } else { CELLS.1 };
             let area = (both.reference.width() * both.reference.height()) as f64;
-            let points = choose_points(&both, (area / cells).sqrt().max(1.0) as usize);
-            Level { both, points }
+            choose_points(both, (area / cells).sqrt().max(1.0) as usize)
         })
     }
 }

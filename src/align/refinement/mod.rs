@@ -56,12 +56,12 @@ pub fn refine(pair: &FramePair, start: &Transform, model: Model, levels: (usize,
     let mut state = restrict(&start.matrix(width, height), model, width, height);
     let mut last = None;
     for level in (measured..=coarsest.min(pair.reference().len() - 1)).rev() {
-        let whole = pair.level(level);
+        let (whole, points) = (pair.level(level), pair.points(level));
         let residuals = |h: &Matrix3<f64>, out: &mut [f32]| {
-            let pieces = whole.points.par_chunks(PIECE).zip(out.par_chunks_mut(PIECE));
-            pieces.for_each(|(points, out)| vectorised(Residuals { points, h, frame: &whole.both.frame, out }));
+            let pieces = points.par_chunks(PIECE).zip(out.par_chunks_mut(PIECE));
+            pieces.for_each(|(points, out)| vectorised(Residuals { points, h, frame: &whole.frame, out }));
         };
-        let stage = Stage::new(pair, level, level == finest, &whole.points)?;
+        let stage = Stage::new(pair, level, level == finest, points)?;
         let (h, error_px) = stage.solve(state, model, residuals)?;
         (state, last) = (h, Some(error_px));
     }

@@ -9,7 +9,7 @@ mod placement;
 pub(crate) mod warnings;
 
 pub use overlap::Rect;
-pub use placement::{Estimate, Placement, RejectedBy, Status};
+pub use placement::{Displaced, Estimate, Placement, RejectedBy, Status};
 
 use crate::align::transform::Transform;
 use crate::bracket::{Bracket, Frame};

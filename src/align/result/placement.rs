@@ -38,8 +38,20 @@ pub struct Estimate {
     pub error_px: Option<f64>,
     /// Confidence, 0..1: below 0.5 is uncertain; 1 if the user set the transform.
     pub confidence: f64,
+    /// The parts of the picture that the transform does not fit; none where they were not measured.
+    pub displaced: Option<Displaced>,
     /// Why the frame is assumed to be unmoved, or what its transform is inferred from.
     pub reason: Option<String>,
+}
+
+/// The parts of the picture that a transform does not map to the right position: near objects seen by a camera that
+/// moved sideways, or things that moved.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Displaced {
+    /// Their share of the parts that have detail and are not clipped, 0..=1.
+    pub fraction: f64,
+    /// Their median displacement, in pixels; 0 if there are none.
+    pub px: f64,
 }
 
 /// Who or what rejected a frame.
@@ -93,7 +105,7 @@ impl Placement {
     /// A placement by a `transform` that the user set: with confidence 1 and an unknown error.
     pub fn by_user(transform: Transform) -> Self {
         let model = Model::of(&transform);
-        Placement::Placed(Estimate { transform, model, error_px: None, confidence: 1.0, reason: None })
+        Placement::Placed(Estimate { transform, model, error_px: None, confidence: 1.0, displaced: None, reason: None })
     }
 
     /// A placement of a frame excluded by the user, or because of the flash.
@@ -125,6 +137,14 @@ impl Placement {
             Placement::Reference => Some(0.0),
             Placement::Placed(estimate) | Placement::Assumed(estimate) => estimate.error_px,
             Placement::Rejected { .. } => None,
+        }
+    }
+
+    /// See [`Estimate::displaced`].
+    pub fn displaced(&self) -> Option<Displaced> {
+        match self {
+            Placement::Placed(estimate) | Placement::Assumed(estimate) => estimate.displaced,
+            Placement::Reference | Placement::Rejected { .. } => None,
         }
     }
 

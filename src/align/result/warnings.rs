@@ -3,7 +3,7 @@
 //! In: a bracket and the placement of each frame. Out: [`Warning`]s, and the largest rectangle that all aligned frames
 //! cover. Cost: that of the [overlap](overlap::largest).
 
-use crate::align::result::{Estimate, Placement, Rect, RejectedBy, overlap};
+use crate::align::result::{Displaced, Estimate, Placement, Rect, RejectedBy, overlap};
 use crate::align::transform::Transform;
 use crate::bracket::Bracket;
 use crate::error::{Error, Result, Warning};
@@ -44,8 +44,14 @@ pub(crate) fn of_frames(bracket: &Bracket, placements: &[Placement]) -> Vec<Warn
                 is_dark: i < bracket.reference_index(),
                 is_still,
             }),
-            Placement::Placed(Estimate { confidence, reason: None, .. }) if *confidence < LOW_CONFIDENCE => {
-                warnings.push(Warning::LowConfidence { path, confidence: *confidence });
+            Placement::Placed(Estimate { confidence, displaced, reason: None, .. }) if *confidence < LOW_CONFIDENCE => {
+                let Displaced { fraction: displaced_fraction, px: displaced_px } = displaced.unwrap_or_default();
+                warnings.push(Warning::LowConfidence {
+                    path,
+                    confidence: *confidence,
+                    displaced_fraction,
+                    displaced_px,
+                });
             }
             Placement::Rejected { by: RejectedBy::User, .. } | Placement::Placed(_) | Placement::Reference => {}
         }

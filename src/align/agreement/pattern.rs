@@ -1,0 +1,215 @@
+//! The pattern of a square of the reference, and its normalised cross-correlation with the frame.
+//!
+//! In: two frames at a common exposure, the second warped to the reference's grid, and a square. Out: correlations at
+//! whole-pixel shifts, and the paraboloid around the best. Cost: three multiply-adds per pixel and shift.
+//! Source: Lewis 1995 (see [`agreement`](crate::align::agreement)).
+
+use crate::align::agreement::TileDisplacement;
+use crate::align::photometric::CommonExposure;
+use crate::align::transform::map;
+use crate::plane::Plane;
+use crate::simd::{Loops, vectorised};
+use nalgebra::Matrix3;
+
+/// Least standard deviation of a tile's weighted pixels for it to be decided, in grey values.
+const LEAST_CONTRAST: f32 = 2.5;
+
+/// Fewest pixels with weight for a tile to be decided: a lamp at night is enough.
+const LEAST_PIXELS: f32 = 64.0;
+
+/// Weight below which a pixel is ignored.
+const LEAST_WEIGHT: f32 = 0.01;
+
+/// A frame on the reference's grid, with a margin on all sides.
+pub(crate) struct Warped {
+    /// NaN in the margin and outside the frame.
+    plane: Plane<f32>,
+    margin: usize,
+}
+
+impl Warped {
+    /// The `frame` under the transform `h`, reference -> frame in pixels of the planes.
+    pub(crate) fn new(frame: &Plane<f32>, h: &Matrix3<f64>, (width, height): (usize, usize), margin: usize) -> Self {
+        let (right, bottom) = (frame.width() as f64 - 1.0, frame.height() as f64 - 1.0);
+        let mut plane = Plane::filled(width + 2 * margin, height + 2 * margin, f32::NAN);
+        plane.fill_rows(|row_at, row| {
+            let Some(y) = row_at.checked_sub(margin).filter(|&y| y < height) else { return };
+            // Over a few pixels a homography is linear to within a ten-thousandth of a pixel.
+            for (start, piece) in row[margin..margin + width].chunks_mut(PIECE).enumerate().map(|(i, p)| (i * PIECE, p))
+            {
+                let from = map(h, start as f64, y as f64);
+                let to = map(h, (start + PIECE) as f64, y as f64);
+                let step = ((to.0 - from.0) / PIECE as f64, (to.1 - from.1) / PIECE as f64);
+                for (i, v) in piece.iter_mut().enumerate() {
+                    let (u, w) = (from.0 + step.0 * i as f64, from.1 + step.1 * i as f64);
+                    if u >= 0.0 && w >= 0.0 && u < right && w < bottom {
+                        let (x, y) = (u as usize, w as usize);
+                        let (fx, fy) = ((u - x as f64) as f32, (w - y as f64) as f32);
+                        let (upper, lower) = (&frame.row(y)[x..x + 2], &frame.row(y + 1)[x..x + 2]);
+                        let (top, bottom) =
+                            (upper[0] + fx * (upper[1] - upper[0]), lower[0] + fx * (lower[1] - lower[0]));
+                        *v = top + fy * (bottom - top);
+                    }
+                }
+            }
+        });
+        Warped { plane, margin }
+    }
+
+    /// Largest shift at which patterns can be compared, in pixels.
+    pub(crate) fn reach(&self) -> isize {
+        self.margin as isize
+    }
+}
+
+/// Pixels of a row whose positions are interpolated linearly.
+const PIECE: usize = 16;
+
+/// The paraboloid around the best correlation of a tile.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Peak {
+    at: Shift,
+    gradient: [f64; 2],
+    sharpness: [f64; 3],
+}
+
+impl Peak {
+    /// The paraboloid through a shift and its eight neighbours, whose correlations `at` returns; none where one of them
+    /// is NaN.
+    pub(crate) fn around((x, y): Shift, mut at: impl FnMut(Shift) -> f32) -> Option<Self> {
+        let mut c = [[0.0f64; 3]; 3];
+        for (j, row) in (-1..).zip(&mut c) {
+            for (i, v) in (-1..).zip(row) {
+                *v = f64::from(at((x + i, y + j)));
+            }
+        }
+        let gradient = [0.5 * (c[1][2] - c[1][0]), 0.5 * (c[2][1] - c[0][1])];
+        let xx = 2.0 * c[1][1] - c[1][0] - c[1][2];
+        let yy = 2.0 * c[1][1] - c[0][1] - c[2][1];
+        let xy = -0.25 * (c[2][2] - c[2][0] - c[0][2] + c[0][0]);
+        // A curved ridge may rise along its crest, where it has no maximum: limits the cross term.
+        let limit = 0.95 * (xx * yy).max(0.0).sqrt();
+        let known = c.iter().flatten().all(|v| v.is_finite()) && xx >= 0.0 && yy >= 0.0;
+        known.then(|| Peak { at: (x, y), gradient, sharpness: [xx, xy.clamp(-limit, limit), yy] })
+    }
+
+    /// The displacement of the tile with this centre. The peak is at `at` + S^-1 g, so the pull is S `at` + g.
+    pub(crate) fn about(&self, centre: [f64; 2]) -> TileDisplacement {
+        let [xx, xy, yy] = self.sharpness;
+        let (x, y) = (self.at.0 as f64, self.at.1 as f64);
+        let pull = [xx * x + xy * y + self.gradient[0], xy * x + yy * y + self.gradient[1]];
+        TileDisplacement { centre, sharpness: self.sharpness, pull }
+    }
+}
+
+/// The pixels of a tile in the reference minus their mean; 0 where the weight is too small.
+pub(crate) struct Pattern {
+    left: usize,
+    top: usize,
+    side: usize,
+    /// By rows.
+    values: Vec<f32>,
+    /// 1 where a pixel has enough weight, 0 elsewhere.
+    mask: Vec<f32>,
+    /// Number of pixels with enough weight.
+    pub(crate) count: f32,
+    /// The sum of the squares of `values`.
+    energy: f32,
+}
+
+impl Pattern {
+    /// The pattern of a tile; none where it has too little contrast.
+    pub(crate) fn new(both: &CommonExposure, left: usize, top: usize, side: usize) -> Option<Self> {
+        let mut values = Vec::with_capacity(side * side);
+        let mut mask = Vec::with_capacity(side * side);
+        for y in top..top + side {
+            for &v in &both.reference.row(y)[left..left + side] {
+                let counts = both.tones.weight(v) >= LEAST_WEIGHT;
+                values.push(if counts { v } else { 0.0 });
+                mask.push(if counts { 1.0 } else { 0.0 });
+            }
+        }
+        let count: f32 = mask.iter().sum();
+        if count < LEAST_PIXELS {
+            return None;
+        }
+        let mean = values.iter().sum::<f32>() / count;
+        let mut energy = 0.0;
+        for (v, m) in values.iter_mut().zip(&mask) {
+            *v -= m * mean;
+            energy += *v * *v;
+        }
+        let has_contrast = energy >= LEAST_CONTRAST * LEAST_CONTRAST * count;
+        has_contrast.then_some(Pattern { left, top, side, values, mask, count, energy })
+    }
+
+    /// Whether its contrast is less than twice the least.
+    pub(super) fn is_faint(&self) -> bool {
+        self.energy < 4.0 * LEAST_CONTRAST * LEAST_CONTRAST * self.count
+    }
+
+    /// The correlation with the frame shifted by `shift`; NaN outside the frame.
+    pub(crate) fn correlation(&self, warped: &Warped, shift: Shift) -> f32 {
+        let (sums, squares, products) = vectorised(Moments { pattern: self, warped, shift });
+        let total = |lanes: [f32; LANES]| lanes.iter().sum::<f32>();
+        let sum = total(sums);
+        let variance = total(squares) - sum * sum / self.count;
+        // The least variance keeps the correlation low where the frame has no structure.
+        if variance.is_nan() {
+            f32::NAN
+        } else {
+            total(products) / (self.energy * variance.max(0.25 * self.count)).sqrt()
+        }
+    }
+}
+
+/// Computes the sums of a correlation of a pattern with the frame shifted by `shift`.
+struct Moments<'a> {
+    pattern: &'a Pattern,
+    warped: &'a Warped,
+    shift: Shift,
+}
+
+impl Loops for Moments<'_> {
+    /// The sums of the frame's grey values, of their squares, and of their products with the pattern.
+    type Output = ([f32; LANES], [f32; LANES], [f32; LANES]);
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let Moments { pattern, warped, shift: (dx, dy) } = self;
+        let (mut sums, mut squares, mut products) = ([0.0f32; LANES], [0.0f32; LANES], [0.0f32; LANES]);
+        let margin = warped.reach();
+        let left = (pattern.left as isize + margin + dx) as usize;
+        let rows = pattern.values.chunks_exact(pattern.side).zip(pattern.mask.chunks_exact(pattern.side));
+        for (y, (values, mask)) in rows.enumerate() {
+            let frame =
+                &warped.plane.row(((pattern.top + y) as isize + margin + dy) as usize)[left..left + pattern.side];
+            let eights = |r: &[f32]| r.len() / LANES * LANES;
+            let whole = eights(values);
+            for ((v, m), f) in values[..whole]
+                .chunks_exact(LANES)
+                .zip(mask[..whole].chunks_exact(LANES))
+                .zip(frame[..whole].chunks_exact(LANES))
+            {
+                for i in 0..LANES {
+                    let counted = m[i] * f[i];
+                    sums[i] += counted;
+                    squares[i] += counted * f[i];
+                    products[i] += v[i] * f[i];
+                }
+            }
+            for ((v, m), f) in values[whole..].iter().zip(&mask[whole..]).zip(&frame[whole..]) {
+                sums[0] += m * f;
+                squares[0] += m * f * f;
+                products[0] += v * f;
+            }
+        }
+        (sums, squares, products)
+    }
+}
+
+/// Partial sums that are computed side by side.
+const LANES: usize = 8;
+
+/// Whole pixels to the right and down.
+pub(crate) type Shift = (isize, isize);

@@ -1,0 +1,211 @@
+//! The local field: the displacements of the patches, smoothed where they agree with their neighbours.
+//!
+//! In: the [matches](super::matching) of the patches. Out: a [`LocalField`], and how much of the picture is displaced
+//! ([`Misfit`]). Cost: negligible. Source: weighted least squares over neighbouring patches, with Tukey's biweight.
+//!
+//! Each match is a paraboloid: its displacement, and how precisely each direction is known. Their sum over the
+//! neighbours is that of a larger patch with a boundary that adapts: a neighbour that moves differently has no weight.
+//! The noise is the scatter of the matches about the field, so that a dark or noisy frame needs more evidence.
+
+use crate::align::agreement::TileDisplacement;
+use crate::align::grey::measured_level;
+use crate::align::local::matching;
+use crate::align::local::matching::Matches;
+use crate::align::refinement::FramePair;
+use crate::align::result::Displaced;
+use crate::align::transform::Transform;
+use crate::statistics::{biweight, median};
+
+/// Rounds of reweighting.
+const ROUNDS: usize = 3;
+/// Tukey's constant: 95 % efficient on normal noise.
+const TUKEY: f64 = 4.685;
+/// The median of the squared length of a normal vector in the plane, in units of its variance along an axis.
+const MEDIAN_SQUARE: f64 = 1.386;
+/// Squared displacement in units of its variance from which it is significant. Of independent normal vectors none would
+/// exceed it; matches of a noisy frame are maxima among many, and the errors of neighbours are correlated. Measured on
+/// rendered brackets.
+const SIGNIFICANT: f64 = 40.0;
+/// Least share of the patches around a cell that must have a match.
+const LEAST_KNOWN: f64 = 0.25;
+/// Least share of the matches around a cell that agree with each other.
+const LEAST_AGREEING: f64 = 0.5;
+/// Fewest cells for a misfit.
+const LEAST_CELLS: usize = 16;
+/// Displacement from which a cell is displaced, in pixels of the full size. Less than the 2 px that show as a double edge,
+/// because cells at edges of depth measure the mean of two displacements.
+const DISPLACED_PX: f64 = 1.5;
+
+/// Least displaced share of the picture that counts in the root mean square: less is more likely due to things that moved
+/// than to depth.
+const LEAST_DISPLACED: f64 = 0.01;
+/// Displacement from which a cell is a reason to search farther, in pixels of the full size.
+const SUSPICIOUS_PX: f64 = 1.0;
+/// Share of such cells, and of those without a match, up to which nothing is searched farther.
+const SUSPICIOUS: f64 = 0.01;
+
+/// The patches around a cell that are smoothed together.
+#[derive(Debug, Clone, Copy)]
+struct Neighbourhood {
+    /// Patches to each side.
+    radius: usize,
+    /// Number of patches that each pixel is in.
+    overlap: f64,
+}
+
+/// The neighbourhoods of [`matching::near`] and [`matching::far`]: 48 pixels wide, as narrow as twigs and railings allow.
+const NEAR: Neighbourhood = Neighbourhood { radius: 1, overlap: 1.0 };
+const FAR: Neighbourhood = Neighbourhood { radius: 2, overlap: 4.0 };
+
+/// A cell of the field.
+#[derive(Debug, Clone, Copy)]
+struct Cell {
+    /// Its displacement, in pixels of the level: a detail at x in the reference is where the transform maps x + d.
+    displacement: [f64; 2],
+    /// Whether the displacement is greater than its error.
+    is_significant: bool,
+}
+
+/// The displacements of the cells of a picture.
+#[derive(Debug, Clone)]
+pub(crate) struct LocalField {
+    /// Length of a pixel of the level, in pixels of the full size.
+    scale: f64,
+    /// Number of cells that each pixel counts in.
+    overlap: f64,
+    /// The cells that are known.
+    cells: Vec<Cell>,
+}
+
+/// How much of a picture a transform does not fit. All lengths are in pixels of the full size.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct Misfit {
+    /// The parts that are displaced by at least [`DISPLACED_PX`].
+    pub(crate) displaced: Displaced,
+    /// Their share less its standard error, 0..=1: of a dark frame few cells are known.
+    pub(crate) displaced_surely: f64,
+    /// Root mean square displacement of all known cells; without the displaced ones if they are less than
+    /// [`LEAST_DISPLACED`].
+    pub(crate) rms_px: f64,
+}
+
+impl LocalField {
+    /// The field of displacements from `transform`.
+    pub(crate) fn new(pair: &FramePair, transform: &Transform) -> Self {
+        let scale = (1u64 << measured_level(pair.reference())) as f64;
+        let near = matching::near(pair, transform);
+        let field = LocalField { scale, overlap: NEAR.overlap, cells: smoothed(&near, NEAR) };
+        let displaced = field.lengths_px().filter(|&px| px >= SUSPICIOUS_PX).count() + near.unmatched;
+        if displaced as f64 <= SUSPICIOUS * (field.cells.len() + near.unmatched) as f64 {
+            return field;
+        }
+        LocalField { scale, overlap: FAR.overlap, cells: smoothed(&matching::far(pair, transform), FAR) }
+    }
+
+    /// The lengths of the significant displacements, in pixels of the full size.
+    fn lengths_px(&self) -> impl Iterator<Item = f64> {
+        let length = |&Cell { displacement: [x, y], .. }: &Cell| self.scale * (x * x + y * y).sqrt();
+        self.cells.iter().filter(|c| c.is_significant).map(length)
+    }
+
+    /// How much of the picture is displaced; nothing if too few cells are known.
+    pub(crate) fn misfit(&self) -> Misfit {
+        if self.cells.len() < LEAST_CELLS {
+            return Misfit::default();
+        }
+        let lengths: Vec<f64> = self.lengths_px().collect();
+        let displaced: Vec<f64> = lengths.iter().copied().filter(|&px| px >= DISPLACED_PX).collect();
+        let all = self.cells.len() as f64;
+        let fraction = displaced.len() as f64 / all;
+        let independent = (all / self.overlap).max(1.0);
+        let most_px = if fraction < LEAST_DISPLACED { DISPLACED_PX } else { f64::INFINITY };
+        let squares = lengths.iter().filter(|&&px| px < most_px).map(|px| px * px).sum::<f64>();
+        Misfit {
+            rms_px: (squares / all).sqrt(),
+            displaced_surely: (fraction - (fraction * (1.0 - fraction) / independent).sqrt()).max(0.0),
+            displaced: Displaced { fraction, px: median(displaced).unwrap_or(0.0) },
+        }
+    }
+}
+
+/// The sum of paraboloids: sharpness S and pull S d.
+#[derive(Clone, Copy, Default)]
+struct Sum {
+    sharpness: [f64; 3],
+    pull: [f64; 2],
+}
+
+impl Sum {
+    fn add(&mut self, weight: f64, d: &TileDisplacement) {
+        self.sharpness.iter_mut().zip(d.sharpness).for_each(|(s, v)| *s += weight * v);
+        self.pull.iter_mut().zip(d.pull).for_each(|(s, v)| *s += weight * v);
+    }
+
+    /// The displacement at the peak. Along an edge it is that with the least length.
+    fn peak(&self) -> [f64; 2] {
+        let [xx, xy, yy] = self.sharpness;
+        let safe = 1e-3 * (xx + yy) + 1e-9;
+        let (xx, yy) = (xx + safe, yy + safe);
+        let determinant = xx * yy - xy * xy;
+        let [px, py] = self.pull;
+        [(yy * px - xy * py) / determinant, (xx * py - xy * px) / determinant]
+    }
+}
+
+/// d^T S d.
+fn square(sharpness: [f64; 3], d: [f64; 2]) -> f64 {
+    sharpness[0] * d[0] * d[0] + 2.0 * sharpness[1] * d[0] * d[1] + sharpness[2] * d[1] * d[1]
+}
+
+/// The cells: the weighted sums of the matches around each, reweighted by their distance from it.
+fn smoothed(matches: &Matches, neighbourhood: Neighbourhood) -> Vec<Cell> {
+    let Neighbourhood { radius, overlap } = neighbourhood;
+    let known: Vec<Option<TileDisplacement>> = matches.all.iter().map(|m| m.and_then(|m| m.displacement)).collect();
+    let around = |i: usize| {
+        let (column, row) = (i % matches.columns, i / matches.columns);
+        let near = |at: usize, count: usize| at.saturating_sub(radius)..(at + radius + 1).min(count);
+        near(row, matches.rows).flat_map(move |y| near(column, matches.columns).map(move |x| y * matches.columns + x))
+    };
+    let mut weights: Vec<f64> = known.iter().map(|k| f64::from(u8::from(k.is_some()))).collect();
+    let mut sums = vec![Sum::default(); known.len()];
+    let mut variance = 1.0;
+    for _ in 0..ROUNDS {
+        for (i, sum) in sums.iter_mut().enumerate() {
+            *sum = Sum::default();
+            around(i).for_each(|n| known[n].iter().for_each(|d| sum.add(weights[n], d)));
+        }
+        let misfits: Vec<Option<f64>> =
+            known.iter().zip(&sums).map(|(k, sum)| Some(misfit(k.as_ref()?, sum.peak()))).collect();
+        let Some(middle) = median(misfits.iter().flatten().copied()) else { return Vec::new() };
+        variance = (middle / MEDIAN_SQUARE).max(1e-12);
+        for (weight, misfit) in weights.iter_mut().zip(&misfits) {
+            *weight = misfit.map_or(0.0, |m| biweight((m / variance).sqrt() / TUKEY));
+        }
+    }
+    let cell = |(i, own): (usize, &Option<TileDisplacement>)| {
+        own.as_ref()?;
+        let (mut all, mut agreeing) = (0, 0);
+        for n in around(i).filter(|&n| known[n].is_some()) {
+            all += 1;
+            agreeing += usize::from(weights[n] > 0.0);
+        }
+        if (all as f64) < LEAST_KNOWN * ((2 * radius + 1) * (2 * radius + 1)) as f64 {
+            return None;
+        }
+        let displacement = sums[i].peak();
+        let is_significant = agreeing as f64 >= LEAST_AGREEING * all as f64
+            && square(sums[i].sharpness, displacement) > overlap * SIGNIFICANT * variance;
+        Some(Cell { displacement, is_significant })
+    };
+    known.iter().enumerate().filter_map(cell).collect()
+}
+
+/// The residual r^T S^-1 r of a match from the displacement `d`, where r = S (own displacement - d).
+fn misfit(own: &TileDisplacement, d: [f64; 2]) -> f64 {
+    let [xx, xy, yy] = own.sharpness;
+    let left = [own.pull[0] - xx * d[0] - xy * d[1], own.pull[1] - xy * d[0] - yy * d[1]];
+    // S is regularised, because along an edge both r and S vanish.
+    let safe = 0.02 * (xx + yy) + 1e-9;
+    let (xx, yy) = (xx + safe, yy + safe);
+    (yy * left[0] * left[0] - 2.0 * xy * left[0] * left[1] + xx * left[1] * left[1]) / (xx * yy - xy * xy)
+}

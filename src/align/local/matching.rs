@@ -1,0 +1,182 @@
+//! Block matching from coarse to fine: the displacement of small patches from the position that a transform gives.
+//!
+//! In: a [`FramePair`] and a transform. Out: a [`Match`] for each patch of the level on which agreement is measured.
+//! Cost: nine correlations for a patch whose position is right, about forty for another. Source: candidates from the
+//! neighbours on the coarser level as in Hasinoff et al., "Burst Photography", SIGGRAPH Asia 2016, section 4;
+//! normalised cross-correlation (Lewis 1995).
+
+use crate::align::agreement::TileDisplacement;
+use crate::align::agreement::pattern::{Pattern, Peak, Shift, Warped};
+use crate::align::grey::measured_level;
+use crate::align::refinement::FramePair;
+use crate::align::transform::{Transform, on_level};
+use nalgebra::Matrix3;
+use rayon::prelude::*;
+
+/// Side of a patch, in pixels of its level: 32 in a photograph of 1 megapixel.
+const SIDE: usize = 16;
+/// Distance of the patches of [`near`], and of [`far`], in pixels of the level. The patches of [`far`] overlap by half.
+const STEPS: (usize, usize) = (SIDE, SIDE / 2);
+/// Largest displacement that is searched, as a share of the long side: depth displaces near objects by up to 2 %, and
+/// the transform may be off by as much as a part of that.
+const MOST_DISPLACEMENT: f64 = 0.03;
+/// Displacement on the coarsest level that is found without a candidate, in pixels.
+const COARSEST_REACH: isize = 3;
+/// Correlation from which the position of a patch is not searched further if its neighbouring positions are worse.
+const ENOUGH_CORRELATION: f32 = 0.9;
+/// Least correlation of a match.
+const LEAST_CORRELATION: f32 = 0.5;
+
+/// The best match of a patch.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Match {
+    /// Its whole shift, in pixels of the level.
+    shift: Shift,
+    /// Its displacement; none if the correlations have no peak.
+    pub(super) displacement: Option<TileDisplacement>,
+}
+
+/// The matches of the patches of a level.
+pub(super) struct Matches {
+    pub(super) columns: usize,
+    pub(super) rows: usize,
+    /// By rows; none where a patch has too little contrast or is outside the frame.
+    pub(super) all: Vec<Option<Match>>,
+    /// Number of patches with contrast that match nowhere.
+    pub(super) unmatched: usize,
+}
+
+/// Matches all patches of the level on which agreement is measured, near the position that the transform gives.
+pub(super) fn near(pair: &FramePair, transform: &Transform) -> Matches {
+    let (width, height) = pair.size();
+    let h = transform.matrix(width, height);
+    let grid = Grid { level: measured_level(pair.reference()), step: STEPS.0, reach: COARSEST_REACH as usize };
+    Matches::none().finer(pair, &h, grid, &[])
+}
+
+/// Matches all patches of the level on which agreement is measured, up to [`MOST_DISPLACEMENT`].
+pub(super) fn far(pair: &FramePair, transform: &Transform) -> Matches {
+    let (width, height) = pair.size();
+    let h = transform.matrix(width, height);
+    let measured = measured_level(pair.reference());
+    let most = MOST_DISPLACEMENT * width.max(height) as f64;
+    let last = pair.reference().len() - 1;
+    let reach = |level: usize| most / (1u64 << level) as f64;
+    let coarsest = (measured..=last).find(|&level| reach(level) <= COARSEST_REACH as f64).unwrap_or(last);
+    let mut found = Matches::none();
+    for level in (measured..=coarsest).rev() {
+        let starts = if level == coarsest { &RIM[..] } else { &[] };
+        let grid = Grid { level, step: STEPS.1, reach: reach(level).ceil() as usize + 1 };
+        found = found.finer(pair, &h, grid, starts);
+    }
+    found
+}
+
+/// The patches of a level: their distance, and how far they are searched, in pixels.
+struct Grid {
+    level: usize,
+    step: usize,
+    reach: usize,
+}
+
+impl Matches {
+    fn none() -> Self {
+        Matches { columns: 0, rows: 0, all: Vec::new(), unmatched: 0 }
+    }
+
+    /// The matches of `grid`, searched from (0, 0), from those of the next coarser level, and from `starts`.
+    fn finer(&self, pair: &FramePair, h: &Matrix3<f64>, grid: Grid, starts: &[Shift]) -> Self {
+        let Grid { level, step, reach } = grid;
+        let both = pair.level(level);
+        let (width, height) = (both.reference.width(), both.reference.height());
+        let count = |length: usize| (length + step).saturating_sub(SIDE) / step;
+        let (columns, rows) = (count(width), count(height));
+        let warped = Warped::new(&both.frame, &on_level(h, level), (width, height), reach);
+        let find = |i: usize| {
+            let (column, row) = (i % columns, i / columns);
+            let pattern = Pattern::new(both, column * step, row * step, SIDE)?;
+            let mut correlations = Correlations { pattern: &pattern, warped: &warped, known: Vec::with_capacity(64) };
+            let (best, shift) = correlations.search(self.candidates(column, row).iter().chain(starts))?;
+            let middle = |at: usize| (at * step) as f64 + (SIDE as f64 - 1.0) / 2.0;
+            let peak = Peak::around(shift, |shift| correlations.at(shift)).filter(|_| best >= LEAST_CORRELATION);
+            Some(Match { shift, displacement: peak.map(|p| p.about([middle(column), middle(row)])) })
+        };
+        let all: Vec<Option<Match>> = (0..columns * rows).into_par_iter().map(find).collect();
+        let unmatched = all.iter().flatten().filter(|m| m.displacement.is_none()).count();
+        Matches { columns, rows, all, unmatched }
+    }
+
+    /// The shifts of the patches around a patch of the next finer level, in pixels of that level.
+    fn candidates(&self, column: usize, row: usize) -> Vec<Shift> {
+        let near = |at: usize, count: usize| (at / 2).saturating_sub(1)..(at / 2 + 2).min(count);
+        let around = near(row, self.rows).flat_map(|y| near(column, self.columns).map(move |x| y * self.columns + x));
+        let mut shifts: Vec<Shift> =
+            around.filter_map(|i| self.all[i]).map(|m| (2 * m.shift.0, 2 * m.shift.1)).collect();
+        shifts.sort_unstable();
+        shifts.dedup();
+        shifts
+    }
+}
+
+/// The correlations of a patch, each computed on first use.
+struct Correlations<'a> {
+    pattern: &'a Pattern,
+    warped: &'a Warped,
+    known: Vec<(Shift, f32)>,
+}
+
+impl Correlations<'_> {
+    /// The correlation at a shift; NaN beyond the margin and outside the frame.
+    fn at(&mut self, shift: Shift) -> f32 {
+        let reach = self.warped.reach();
+        if shift.0.abs() > reach || shift.1.abs() > reach {
+            return f32::NAN;
+        }
+        if let Some(&(_, known)) = self.known.iter().find(|(s, _)| *s == shift) {
+            return known;
+        }
+        let correlation = self.pattern.correlation(self.warped, shift);
+        self.known.push((shift, correlation));
+        correlation
+    }
+
+    /// The best correlation and its shift, from (0, 0) and the `candidates`; none outside the frame.
+    fn search<'c>(&mut self, candidates: impl Iterator<Item = &'c Shift>) -> Option<(f32, Shift)> {
+        if self.at((0, 0)).is_nan() {
+            return None;
+        }
+        let mut best = self.climb((0, 0));
+        if best.1 == (0, 0) && best.0 >= ENOUGH_CORRELATION {
+            return Some(best);
+        }
+        for &candidate in candidates {
+            let found = self.climb(candidate);
+            if found.0 > best.0 {
+                best = found;
+            }
+        }
+        Some(best)
+    }
+
+    /// Climbs from `start` to the next local maximum.
+    fn climb(&mut self, start: Shift) -> (f32, Shift) {
+        let mut best = (self.at(start), start);
+        loop {
+            let (x, y) = best.1;
+            for (dx, dy) in AROUND {
+                let c = self.at((x + dx, y + dy));
+                if c > best.0 {
+                    best = (c, (x + dx, y + dy));
+                }
+            }
+            if best.1 == (x, y) {
+                return best;
+            }
+        }
+    }
+}
+
+/// Shifts at [`COARSEST_REACH`], from which the search on the coarsest level starts.
+const RIM: [Shift; 8] = [(-3, -3), (0, -3), (3, -3), (-3, 0), (3, 0), (-3, 3), (0, 3), (3, 3)];
+/// The eight neighbours of a shift.
+const AROUND: [Shift; 8] = [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)];

@@ -1,0 +1,16 @@
+//! Local displacements: the parts of a frame that a transform does not map to the right position.
+//!
+//! In: two frames and a transform. Out: the displacement of each cell of the picture from the position that the
+//! transform gives ([`LocalField`]), and the share of the picture that is displaced ([`Misfit`]). Cost: ten correlations per pixel of
+//! the level on which agreement is measured; some hundred where parts are displaced.
+//!
+//! The tiles of [`agreement`](crate::align::agreement) are large and search few pixels, to find out whether a transform
+//! is right at all. Near objects, rolling shutter and moving things displace parts of the picture, by more.
+
+mod field;
+mod matching;
+
+pub(crate) use field::LocalField;
+
+#[cfg(test)]
+mod tests;

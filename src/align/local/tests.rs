@@ -1,0 +1,89 @@
+//! Local displacements of scenes of which a part moves.
+
+use super::*;
+use crate::align::agreement::pattern::{Pattern, Warped};
+use crate::align::grey::GreyPyramid;
+use crate::align::local::matching;
+use crate::align::refinement::FramePair;
+use crate::align::scene::{Scene, Shot, photograph, rigid};
+use crate::align::transform::{Transform, on_level};
+
+const SIZE: (usize, usize) = (640, 448);
+
+/// A scene of which the columns from `edge` on are `moved` pixels to the right in the frame.
+fn pair_with_depth(edge: f64, moved: f64, noise: f64, truth: &Transform) -> (GreyPyramid, GreyPyramid) {
+    let scene = Scene::new(57);
+    let shot = |ev, seed| Shot { noise, seed, ..Shot::at(ev) };
+    let reference = scene.photograph(SIZE, &Transform::Identity, shot(0.0, 1));
+    let near = |x: f64, y: f64| scene.radiance(if x >= edge + moved { x - moved } else { x }, y);
+    (GreyPyramid::new(reference), GreyPyramid::new(photograph(SIZE, truth, shot(1.0, 2), near)))
+}
+
+fn misfit(edge: f64, moved: f64, noise: f64, truth: &Transform) -> field::Misfit {
+    let (reference, frame) = pair_with_depth(edge, moved, noise, truth);
+    LocalField::new(&FramePair::new(&reference, &frame, truth), truth).misfit()
+}
+
+#[test]
+fn share_and_displacement_of_a_near_object_are_measured() {
+    let truth = rigid(3.0, -2.0, 0.4);
+    for moved in [4.0, 12.0] {
+        let found = misfit(480.0, moved, 1.5, &truth);
+        // A quarter of the picture moves; the patches at the edge, up to 24 pixels of 640 from it, may count on either side.
+        assert!((found.displaced.fraction - 0.25).abs() < 0.06, "{moved}: {found:?}");
+        assert!((found.displaced.px - moved).abs() < 0.3, "{moved}: {found:?}");
+        let rms = moved * found.displaced.fraction.sqrt();
+        assert!((found.rms_px - rms).abs() < 0.1 * rms, "{moved}: {found:?}");
+    }
+}
+
+#[test]
+fn frame_that_its_transform_fits_has_no_misfit_whatever_its_noise() {
+    let truth = rigid(-4.0, 1.0, -0.3);
+    for noise in [0.0, 1.5, 6.0, 15.0] {
+        let found = misfit(1e9, 0.0, noise, &truth);
+        assert!(found.displaced.fraction < 0.005 && found.rms_px < 0.15, "{noise}: {found:?}");
+    }
+}
+
+#[test]
+fn black_frame_has_no_misfit() {
+    let scene = Scene::new(57);
+    let take = |ev| GreyPyramid::new(scene.photograph(SIZE, &Transform::Identity, Shot::at(ev)));
+    let (reference, frame) = (take(0.0), take(-12.0));
+    let pair = FramePair::new(&reference, &frame, &Transform::Identity);
+    assert_eq!(LocalField::new(&pair, &Transform::Identity).misfit(), field::Misfit::default());
+}
+
+/// The oracle searches all shifts of the finest level.
+#[test]
+fn coarse_to_fine_finds_what_a_full_search_finds() {
+    let (reference, frame) = pair_with_depth(320.0, 9.0, 1.5, &Transform::Identity);
+    let pair = FramePair::new(&reference, &frame, &Transform::Identity);
+    let found = matching::far(&pair, &Transform::Identity);
+    let both = pair.level(0);
+    let h = on_level(&Transform::Identity.matrix(SIZE.0, SIZE.1), 0);
+    let reach = 20;
+    let warped = Warped::new(&both.frame, &h, SIZE, reach as usize);
+    let (mut same, mut all) = (0, 0);
+    // Every seventh patch, away from the margins, where shifts lead outside the frame.
+    for i in (0..found.all.len()).step_by(7) {
+        let (x, y) = (i % found.columns * 8, i / found.columns * 8);
+        let is_inner = x > 32 && y > 32 && x + 48 < SIZE.0 && y + 48 < SIZE.1;
+        let Some(displacement) = found.all[i].and_then(|m| m.displacement).filter(|_| is_inner) else { continue };
+        let Some(pattern) = Pattern::new(both, x, y, 16) else { continue };
+        let shifts = (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (dx, dy)));
+        let best = shifts
+            .map(|shift| (pattern.correlation(&warped, shift), shift))
+            .reduce(|best, other| if other.0 > best.0 { other } else { best });
+        let Some((_, (dx, dy))) = best else { continue };
+        let [xx, xy, yy] = displacement.sharpness;
+        let expected = [xx * dx as f64 + xy * dy as f64, xy * dx as f64 + yy * dy as f64];
+        all += 1;
+        // Within a pixel: the pull is the sharpness times the displacement.
+        let off = [displacement.pull[0] - expected[0], displacement.pull[1] - expected[1]];
+        same += usize::from(off[0].abs() <= xx + xy.abs() && off[1].abs() <= yy + xy.abs());
+    }
+    // Some patches at the edge between the two motions contain both.
+    assert!(all > 50 && same * 20 >= all * 19, "{same} of {all}");
+}
