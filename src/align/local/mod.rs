@@ -1,7 +1,7 @@
 //! Local displacements: the parts of a frame that a transform does not map to the right position.
 //!
 //! In: two frames and a transform. Out: the displacement of each cell of the picture from the position that the
-//! transform gives ([`LocalField`]), and the share of the picture that is displaced ([`Misfit`]). Cost: ten correlations per pixel of
+//! transform gives ([`LocalField`]), and the share of the picture that is displaced ([`Misfit`](field::Misfit)). Cost: ten correlations per pixel of
 //! the level on which agreement is measured; some hundred where parts are displaced.
 //!
 //! The tiles of [`agreement`](crate::align::agreement) are large and search few pixels, to find out whether a transform
