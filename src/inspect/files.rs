@@ -135,7 +135,7 @@ mod tests {
         fails("none/new", &images, "mkdir");
         fails("new", &[at("a.jpg"), at("sub/a.png")], "rename one");
         fs::write(at("file"), "x").unwrap();
-        fails("file", &images, "not a folder; name another with -d");
+        fails("file", &images, "not a folder; give a folder with -d");
         fs::create_dir(at("old")).unwrap();
         check(&at("old"), &images, false).unwrap();
         fs::write(at("old/b.xor.svg"), "x").unwrap();

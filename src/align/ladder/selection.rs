@@ -252,7 +252,7 @@ mod tests {
         let placement = rejected(rejection_reason(None), 0.0);
         assert_eq!((placement.status(), placement.transform(), placement.confidence()), (Status::Rejected, None, 0.0));
         assert!(placement.reason().unwrap().contains("too little in common"));
-        assert!(rejection_reason(Some(&candidate(0.0, 2, 3))).contains("too few tiles"));
+        assert!(rejection_reason(Some(&candidate(0.0, 2, 3))).contains("too few parts"));
         assert!(rejection_reason(Some(&candidate(0.0, 10, 30))).contains("30 of 40 tiles"));
     }
 }
