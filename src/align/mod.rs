@@ -61,12 +61,12 @@ pub use transform::{Model, Transform};
 #[serde(rename_all = "kebab-case")]
 #[strum(serialize_all = "kebab-case")]
 pub enum AlignMode {
-    /// Bitmaps, features and pixels, as far as needed; every result is checked.
+    /// Bitmaps, refined on the pixels; features if that does not suffice. Every result is checked.
     #[default]
     Auto,
     /// Median threshold bitmaps only: shift and rotation.
     Mtb,
-    /// SIFT features only: a homography.
+    /// SIFT features only, for a homography.
     Sift,
     /// No alignment.
     None,

@@ -129,10 +129,10 @@ impl From<&FoundBracket> for Planned {
 #[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
 #[strum(serialize_all = "kebab-case")]
 pub enum Normalisation {
-    /// That of the reference frame of each bracket.
+    /// Each bracket has its own, that of its reference frame.
     #[default]
     Bracket,
-    /// The same for all brackets of a panorama, so that their overlaps have the same radiance.
+    /// One for all brackets of a panorama, so that their overlaps have the same radiance.
     Set,
     /// The same for all brackets.
     All,

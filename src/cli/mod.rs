@@ -69,7 +69,7 @@ Exit codes:
      is uncertain, the frames overlap by less than half, or an exposure or the response was estimated
      or contradicts the pixels
   compare: 0 same, 1 different, 2 error
-  batch: 0 all brackets done, 1 none, 3 some
+  batch: 0 all brackets done, 1 none done, 3 only some done (or, with --strict, a degraded result)
 
 Examples:
   hdralign merge IMG_0001.JPG IMG_0002.JPG IMG_0003.JPG

@@ -23,12 +23,12 @@ const REACH: usize = 4;
 #[serde(rename_all = "kebab-case")]
 #[strum(serialize_all = "kebab-case")]
 pub enum Weight {
-    /// Linear from both ends of the code values to the middle.
+    /// 0 at both ends of the code values, rising linearly to the middle.
     #[default]
     Hat,
     /// Gaussian about the middle, with a standard deviation of 45 of 255 code values.
     Gaussian,
-    /// Nearly 1, except for the last tenth of the code values at either end.
+    /// Nearly 1, falling to 0 in the lowest and the highest tenth of the code values.
     Plateau,
     /// 1 for every code value, clipped or not.
     Uniform,

@@ -33,7 +33,7 @@ use std::f64::consts::LN_2;
 #[serde(rename_all = "kebab-case")]
 #[strum(serialize_all = "kebab-case")]
 pub enum Exposures {
-    /// Corrected from the pixels by at most a sixth of a stop, except exposures that the user gave.
+    /// Corrected by up to a sixth of a stop to match the pixels, except exposures that the user gave.
     #[default]
     FineTuned,
     /// Exposures as recorded, as given by the user, or as estimated.

@@ -38,7 +38,7 @@ pub struct DisplayImage {
 #[serde(tag = "name", rename_all = "kebab-case")]
 #[strum(serialize_all = "kebab-case")]
 pub enum Operator {
-    /// Exposure fusion of exposures computed from the radiance, with the colours of the photographs.
+    /// Fusion of several exposures computed from the radiance, with the colours of the photographs.
     Natural(natural::Options),
     /// Global photographic tone curve: Reinhard et al. 2002.
     Reinhard02(operators::reinhard::Options),
@@ -133,7 +133,7 @@ impl Rendering {
         });
         let fused = (
             Rendering::Fused(fusion::Options::default()),
-            "Exposure fusion of the aligned frames, for `merge` only: Mertens et al. 2007.",
+            "Fusion of the aligned frames, not available in `tonemap`: Mertens et al. 2007.",
         );
         toned.chain([fused]).collect()
     }

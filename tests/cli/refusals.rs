@@ -237,7 +237,7 @@ fn folders_are_left_to_batch() {
         ("batch . --by-folder -d w1.jpg", "has the name of this folder"),
         ("batch . --by-folder -d w1.jpg/out", "has the name of this folder"),
         ("man w1.jpg", "has the name of this folder"),
-        ("inspect w2.jpg w3.jpg -d w1.jpg", "name another with -d"),
+        ("inspect w2.jpg w3.jpg -d w1.jpg", "it is a file, not a folder; give a folder with -d"),
     ] {
         refused(&folder, line, 1, &["w1.jpg", said]);
         assert!(!folder.line(line).stderr.contains("the space left"), "{line}");

@@ -37,7 +37,7 @@ pub enum RobustMethod {
     /// The transform with the most inliers; works with up to four fifths wrong matches.
     #[default]
     Ransac,
-    /// The transform with the least median of squares, without a threshold; needs more than half correct matches.
+    /// The transform with the least median of the squared errors. Needs no threshold, but more than half of the matches must be correct.
     Lmeds,
 }
 

@@ -8,7 +8,7 @@ use hdralign::tonemap::adjust::{Options, WhiteBalance};
 #[derive(Debug, Args)]
 #[command(next_help_heading = PICTURE)]
 pub struct Adjust {
-    /// Set the white balance: as-shot, auto, KELVIN[,TINT], grey spot X,Y
+    /// Set the white balance: as-shot, auto, KELVIN[,TINT], or X,Y (a grey spot)
     ///
     /// as-shot, the default, changes nothing. auto estimates the light. KELVIN[,TINT] is the light that becomes white: a temperature from 2000 to 25000 (below
     /// 6504 the picture becomes cooler, above it warmer) and a tint from -150 to 150 (above 0 the picture becomes more magenta). X,Y is a grey
@@ -18,7 +18,7 @@ pub struct Adjust {
 
     /// Make the picture brighter or darker, -5 to 5 [default: 0]
     ///
-    /// The unit is a stop in the dark parts and less towards white, so that nothing is clipped
+    /// 1 makes dark parts one stop brighter and bright parts less, so that nothing is clipped
     #[arg(long, value_name = "EV", default_value_t, hide_default_value = true, allow_negative_numbers = true)]
     brightness: f64,
 

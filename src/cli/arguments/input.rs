@@ -47,7 +47,7 @@ pub struct Work {
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
 
-    /// Limit the memory, as 4GB [default: three quarters of what is free]
+    /// Limit the memory, for example 4GB [default: 3/4 of the free memory]
     ///
     /// What does not fit is kept in a temporary file in the --scratch folder. Results do not depend on the limit
     #[arg(long, value_name = "SIZE", value_parser = memory::size)]
@@ -56,7 +56,7 @@ pub struct Work {
     #[command(flatten)]
     pub largest: Largest,
 
-    /// Set the folder of the temporary file for what does not fit into memory [default: the folder of the first result, or the system's temporary folder]
+    /// Set the folder of temporary data that do not fit into memory [default: the folder of the first result, or the system's temporary folder if there is none]
     #[arg(long, hide_short_help = true, value_name = "FOLDER")]
     scratch: Option<PathBuf>,
 
@@ -73,7 +73,7 @@ pub struct Work {
 
     /// Print no progress, summary or warnings
     ///
-    /// Errors are printed, and results are listed on stdout
+    /// Errors are still printed, and results are still listed on stdout
     #[arg(short, long, help_heading = OUTPUT)]
     pub quiet: bool,
 }
@@ -104,7 +104,7 @@ pub struct Reading {
     #[command(flatten)]
     largest: Largest,
 
-    /// Limit the memory, as 4GB [default: three quarters of what is free]
+    /// Limit the memory, for example 4GB [default: 3/4 of the free memory]
     ///
     /// Files that need more are rejected
     #[arg(long, help_heading = RESOURCES, value_name = "SIZE", value_parser = memory::size)]
@@ -133,7 +133,7 @@ pub struct Aligned {
 
     /// Set the reference frame: its number, from 1, or its file name
     ///
-    /// The others are aligned to it, and the results show its view. Numbers count in the order given. By default it is the best exposed frame
+    /// The others are aligned to it, and the results show its view. The number is the position in the command. By default it is the best exposed frame
     #[arg(long, help_heading = INPUT, value_name = "FRAME")]
     reference: Option<String>,
 
@@ -154,7 +154,7 @@ pub struct Aligned {
 pub struct Cut {
     /// Crop the results: common, none, or X,Y,WIDTH,HEIGHT
     ///
-    /// common is the area that all frames cover. X,Y,WIDTH,HEIGHT are pixels of the reference frame. Where not all frames cover the area, those that do are merged
+    /// common is the area that all frames cover. X,Y,WIDTH,HEIGHT are in pixels of the reference frame. Each pixel is merged from the frames that cover it
     #[arg(short = 'C', long, help_heading = OUTPUT, default_value_t, value_name = "AREA")]
     pub crop: Crop,
 }
@@ -165,7 +165,7 @@ pub struct Common {
     #[command(flatten)]
     pub aligned: Aligned,
 
-    /// Read the transforms from FILE (JSON), or write them to it if it does not exist; it is never replaced
+    /// Read the transforms from FILE (JSON) if it exists, otherwise write them to it. An existing file is never replaced
     #[arg(long, help_heading = ALIGNMENT, hide_short_help = true, value_name = "FILE")]
     transforms: Option<PathBuf>,
 }
@@ -180,7 +180,7 @@ pub struct Results {
     #[arg(long, help_heading = OUTPUT, value_name = "FILE", value_parser = PathBufValueParser::new().try_map(report_file))]
     report: Option<PathBuf>,
 
-    /// Print the report as JSON to stdout instead of the files written
+    /// Print the report as JSON to stdout, in place of the names of the files
     #[arg(long, help_heading = OUTPUT)]
     pub json: bool,
 

@@ -28,7 +28,7 @@ pub struct Merging {
 
     /// Remove ghosts: auto, off, or a strength from 0 to 1
     ///
-    /// What moved is shown as in the reference frame. Strength 0 removes only what differs plainly, 1 whatever may differ; auto is 0.5. off
+    /// Things that moved are shown as in the reference frame. Strength 0 removes only plain differences, 1 removes all possible ones; auto is 0.5. off
     /// merges all frames everywhere
     #[arg(
         long,
@@ -53,16 +53,16 @@ pub struct Merging {
     #[command(flatten)]
     radiance: Radiance,
 
-    /// Scale the radiance to cd/m2 by the exposure of the reference frame, to within about half a stop
+    /// Scale the radiance to cd/m2, computed from the exposure of the reference frame (about half a stop accurate)
     ///
-    /// Its largest pixel value is then 87 N^2 / (t ISO) cd/m2 (N: f-number, t: exposure time in s)
+    /// The largest pixel value of the reference frame is then 87 N^2 / (t ISO) cd/m2 (N: f-number, t: exposure time in s)
     #[arg(long, hide_short_help = true)]
     absolute: bool,
 
-    /// Multiply the radiance by X; it is then in cd/m2
+    /// Multiply the radiance by X to get cd/m2
     ///
-    /// With --absolute: measured over reported luminance, near 1. Without: the cd/m2 of radiance 1, which gave the reference frame its middle
-    /// pixel value
+    /// With --absolute, X is a measured luminance divided by that in the file, near 1. Without it, X is the luminance in cd/m2 of radiance 1,
+    /// which is what gives the middle pixel value in the reference frame
     #[arg(long, hide_short_help = true, value_name = "X", allow_negative_numbers = true)]
     calibration_factor: Option<f64>,
 

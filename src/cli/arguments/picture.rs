@@ -11,17 +11,17 @@ use hdralign::write::picture::{self, Size};
 #[derive(Debug, Args)]
 #[command(next_help_heading = PICTURE)]
 pub struct Picture {
-    /// Set the bits per channel of the picture; JPEG has 8 only
+    /// Set the bits per channel of the picture; JPEG always has 8
     #[arg(long, hide_short_help = true, value_parser = choice::<Depth>(), default_value_t, value_name = "BITS")]
     bit_depth: Depth,
 
-    /// Set the colour space of the picture and the profile embedded in it. Colours outside it are desaturated
+    /// Set the colour space of the picture; its profile is embedded. Colours outside the space are desaturated
     #[arg(long, hide_short_help = true, visible_alias = "picture-color", value_parser = choice::<Colours>(), default_value_t, value_name = "SPACE")]
     picture_colour: Colours,
 
     /// Shrink the picture: pixels of its longest side, or percent
     ///
-    /// As in 2048 or 50%. It is resized in linear light and never enlarged. Radiance is never resized
+    /// For example 2048 or 50%. The picture is resized in linear light and never enlarged. Radiance is never resized
     #[arg(long, value_name = "SIZE")]
     resize: Option<Size>,
 

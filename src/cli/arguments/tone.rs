@@ -14,7 +14,7 @@ pub struct Tone {
     #[arg(long, value_parser = renderings(), default_value = Rendering::default().name(), value_name = "NAME")]
     tmo: Rendering,
 
-    /// Set a parameter of the operator, as brightness=0.5; may be repeated. `--tmo-set help` lists all
+    /// Set a parameter of the operator, for example brightness=0.5; may be repeated. `--tmo-set help` lists all parameters
     #[arg(long, hide_short_help = true, value_name = "KEY=VALUE", value_delimiter = ',')]
     tmo_set: Vec<String>,
 }

@@ -25,20 +25,20 @@ const AFTER_HELP: &str = "\
 Examples:
   hdralign batch /media/card --dry-run                list the brackets
   hdralign batch /media/card -d merged                merge them; a second run merges what changed
-  hdralign batch scans --by-folder -e=-2,0,2          without EXIF: one bracket a folder
+  hdralign batch scans --by-folder -e=-2,0,2          without EXIF: each folder is a bracket
   hdralign batch pano -d out --shared-response --normalize set --formats exr
   hdralign batch /photos -d out --plan > plan.jsonl   plan for Snakemake, Slurm or GNU parallel
   hdralign batch --run plan.jsonl --id ID             do one job of a plan
   hdralign batch --summarize plan.jsonl               write the summary of a plan";
 
 const AFTER_LONG_HELP: &str = "\
-Without --dry-run, --plan, --run and --summarize, batch merges all brackets that it finds.
-A second run skips what is done. A plan lists the jobs for another scheduler: each job is done
-by --run PLAN --id ID, on any machine, and --summarize PLAN writes the summary at the end.
+If none of --dry-run, --plan, --run and --summarize is given, batch merges all brackets it finds.
+A second run skips what is done. A plan lists the jobs for a scheduler such as Slurm: each job
+is run by --run PLAN --id ID, on any machine; --summarize PLAN combines the results at the end.
 
 Exit codes:
   0  all brackets done
-  1  none done
+  1  no bracket done (those done by an earlier run count as done)
   2  wrong usage
   3  some done; with --strict also if a result is degraded
 ";
@@ -55,7 +55,7 @@ pub struct Args {
     #[arg(value_name = "FOLDER", required_unless_present_any = ["run", "summarize", "name"])]
     folders: Vec<PathBuf>,
 
-    /// List the brackets, and why other photographs are in none; merge nothing
+    /// List the brackets and the photographs that are in none; merge nothing
     #[arg(long, help_heading = MODE)]
     dry_run: bool,
 
@@ -63,15 +63,15 @@ pub struct Args {
     #[arg(long, help_heading = MODE, conflicts_with = "dry_run")]
     plan: bool,
 
-    /// Do the jobs of a plan that --id names
+    /// Run jobs of the file PLAN; choose them with --id
     #[arg(long, help_heading = MODE, value_name = "PLAN", requires = "id", conflicts_with_all = ["folders", "plan", "dry_run", "summarize"])]
     run: Option<PathBuf>,
 
-    /// Set the job of --run; may be repeated
+    /// Choose a job for --run; may be repeated
     #[arg(long, help_heading = MODE, value_name = "ID", requires = "run")]
     id: Vec<String>,
 
-    /// Write the summary of a plan from the results of its jobs
+    /// Combine the results of the jobs of a plan into batch.json and batch.csv
     #[arg(long, help_heading = MODE, value_name = "PLAN", conflicts_with_all = ["folders", "plan", "dry_run"])]
     summarize: Option<PathBuf>,
 
@@ -94,7 +94,7 @@ pub struct Args {
 
     /// Print the summary as JSON to stdout instead of the files written
     ///
-    /// With --dry-run: what was found
+    /// With --dry-run, print the brackets that were found
     #[arg(long, help_heading = OUTPUT)]
     json: bool,
 
@@ -118,7 +118,7 @@ pub struct Args {
 struct Places {
     /// Set the folder for the results [default: beside the photographs]
     ///
-    /// It gets the subfolders of the photographs
+    /// The subfolders of the photographs are made in it
     #[arg(short = 'd', long = "output-folder", value_name = "FOLDER")]
     output: Option<PathBuf>,
 
@@ -130,7 +130,7 @@ struct Places {
     #[arg(long, value_name = "FORMAT,...", value_delimiter = ',', default_value = "exr,png")]
     formats: Vec<String>,
 
-    /// Also write pictures in other formats: tif (8 or 16 bits), png, jpg
+    /// Write the picture also in these formats: tif, png, jpg
     #[arg(long, value_name = "FORMAT,...", value_delimiter = ',')]
     pictures: Vec<String>,
 
@@ -145,13 +145,13 @@ struct Places {
 struct Finding {
     /// Expect exactly N photographs in each bracket
     ///
-    /// Photographs without EXIF are then counted by name
+    /// Photographs without EXIF are then sorted by name and divided into groups of N
     #[arg(long, value_name = "N")]
     bracket: Option<usize>,
 
     /// Set the longest pause in a bracket, in seconds [default: 120]
     ///
-    /// From the end of an exposure to the start of the next
+    /// It is measured from the end of an exposure to the start of the next
     #[arg(long, value_name = "SECONDS")]
     gap: Option<f64>,
 
@@ -168,14 +168,14 @@ struct Acting {
 
     /// Set the reference frame of each bracket: its number, from 1
     ///
-    /// In the order of time. By default it is the best exposed frame
+    /// Frames are numbered in the order in which they were taken. By default it is the best exposed frame
     #[arg(long, help_heading = INPUT, value_name = "N")]
     reference: Option<usize>,
 
     #[command(flatten)]
     merging: Merging,
 
-    /// Set which brackets get the same unit of radiance
+    /// Set which brackets share one unit of radiance
     #[arg(long, help_heading = MERGE, alias = "normalise", value_parser = choice::<Normalisation>(), default_value_t, value_name = "WHAT")]
     normalize: Normalisation,
 

@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 const AFTER_HELP: &str = "\
-Exit codes, as those of cmp and diff:
+Exit codes, the same as of cmp and diff:
   0  same within the tolerance, or blessed
   1  different
   2  error: wrong usage, a file that cannot be read, radiance compared with a picture
@@ -33,19 +33,19 @@ pub struct Args {
     #[arg(value_name = "ACTUAL")]
     actual: PathBuf,
 
-    /// Set the tolerance of radiance: the largest difference of a channel, in stops [default: 0.01]
+    /// Set the largest difference allowed in any channel of radiance, in stops [default: 0.01]
     #[arg(long, value_name = "STOPS", conflicts_with = "tolerance_de", allow_negative_numbers = true)]
     tolerance_stops: Option<f64>,
 
-    /// Set the tolerance of pictures: the largest difference of a pixel in CIEDE2000, where 1 is just visible [default: 0]
+    /// Set the largest difference allowed in any pixel of a picture, in CIEDE2000 (1 is just visible) [default: 0]
     #[arg(long, value_name = "DE", allow_negative_numbers = true)]
     tolerance_de: Option<f64>,
 
-    /// Set how many pixels may exceed the tolerance, in percent of all
+    /// Set the percentage of pixels that may exceed the tolerance
     #[arg(long, value_name = "PERCENT", default_value_t = 0.0, allow_negative_numbers = true)]
     max_differing: f64,
 
-    /// Compare by PSNR instead, in dB: PU21-PSNR of radiance, PSNR of the code values of pictures
+    /// Require at least this PSNR in dB instead of the tolerance: PU21-PSNR of radiance, PSNR of the code values of pictures
     #[arg(
         long,
         value_name = "DB",
@@ -58,7 +58,7 @@ pub struct Args {
     #[arg(long, value_name = "PNG")]
     diff: Option<PathBuf>,
 
-    /// Copy ACTUAL over EXPECTED, and exit with 0
+    /// Accept the result: replace EXPECTED by ACTUAL (without --force) and exit with 0
     #[arg(long)]
     bless: bool,
 
@@ -75,7 +75,7 @@ pub struct Args {
 
     /// Print no summary or warnings
     ///
-    /// Errors are printed, and results are listed on stdout
+    /// Errors are still printed, and results are still listed on stdout
     #[arg(short, long)]
     quiet: bool,
 }

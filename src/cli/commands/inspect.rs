@@ -13,11 +13,11 @@ use std::process::ExitCode;
 
 const AFTER_HELP: &str = "\
 Files, for each photograph NAME:
-  NAME.threshold.png, NAME.exclusion.png   median threshold bitmap, and its pixels that count
-  NAME.keypoints.svg, .png                 keypoints of the photograph, of its bitmaps, of both
+  NAME.threshold.png, NAME.exclusion.png   median threshold bitmap, and the pixels that are compared
+  NAME.keypoints.svg, .png                 keypoints of the photograph, of its bitmaps, or of both
   NAME.matches.svg, .png                   matches with the reference frame, inliers and outliers
-  NAME.xor.svg, .png                       differing pixels against rotation and shift
-  NAME.edges.svg, .png                     edges of both frames, before and after alignment
+  NAME.xor.svg, .png                       plot of the differing pixels by rotation and shift
+  NAME.edges.svg, .png                     edges of the frame and the reference, before and after alignment
 and tables.txt, tables.json with exposures, keypoints, matches, transforms and bitmaps.
 
 Examples:

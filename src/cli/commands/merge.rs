@@ -50,11 +50,11 @@ pub struct Args {
     #[arg(long, help_heading = OUTPUT, hide_short_help = true, value_name = "FILE")]
     save_response: Option<PathBuf>,
 
-    /// Write the motion mask, a grey PNG of the result's size: 0 all frames merged, 255 only the reference frame
+    /// Write the motion mask, a grey PNG as large as the result: 0 where all frames were merged, 255 where only the reference frame was
     #[arg(long, help_heading = OUTPUT, hide_short_help = true, value_name = "FILE")]
     ghost_mask: Option<PathBuf>,
 
-    /// Write the aligned frames as TIFF: PREFIX and the name of the photograph
+    /// Write the aligned frames as TIFF, named PREFIX and the name of the photograph
     #[arg(long, help_heading = OUTPUT, hide_short_help = true, value_name = "PREFIX")]
     save_aligned: Option<PathBuf>,
 }

@@ -15,8 +15,8 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 const AFTER_HELP: &str = "\
-The photographs of one folder are one bracket. A folder means the JPEG, PNG and TIFF files in it.
-Use still scenes; more brackets with a larger range give a better response.
+Photographs of the same folder are one bracket. A folder stands for its JPEG, PNG and TIFF files.
+Use scenes without motion. More brackets that span more stops give a better response.
 
 Examples:
   hdralign response *.jpg                             write Canon_EOS_5D.json beside the photographs
@@ -26,7 +26,7 @@ Examples:
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP, mut_arg("images", |images| {
-    images.help("The photographs of one or many brackets, JPEG, PNG or TIFF, or folders of them")
+    images.help("Photographs (JPEG, PNG or TIFF) of one or several brackets, or folders of photographs")
 }))]
 pub struct Args {
     #[command(flatten)]

@@ -16,8 +16,8 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 const AFTER_HELP: &str = "\
-Reads .exr (half, float, uint), .hdr (RGBE, XYZE) and .tif (float, LogLuv) of any program.
-NaN is shown as black, infinity as the brightest other value, and negative colours are
+The input may come from any program: .exr (half, float, uint), .hdr (RGBE, XYZE), .tif (float, LogLuv).
+NaN becomes black, infinity the largest finite value, and negative colours are
 desaturated; a warning counts them.
 
 Examples:
@@ -58,7 +58,7 @@ pub struct Args {
 
     /// Print no progress, summary or warnings
     ///
-    /// Errors are printed, and results are listed on stdout
+    /// Errors are still printed, and results are still listed on stdout
     #[arg(short, long, help_heading = OUTPUT)]
     quiet: bool,
 

@@ -21,7 +21,7 @@ pub enum Colours {
     Srgb,
     /// Display P3, with more saturated reds and greens, for phones and newer computers.
     DisplayP3,
-    /// Adobe RGB (1998), for print; in a .jpg only without a gain map.
+    /// Adobe RGB (1998), for print; a .jpg then needs --gain-map none.
     AdobeRgb,
 }
 

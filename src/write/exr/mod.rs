@@ -34,7 +34,7 @@ pub enum Compression {
     /// Deflate of single rows.
     #[strum(serialize = "zips")]
     Zip1,
-    /// No compression: twice the size.
+    /// No compression; about twice the size of piz.
     None,
 }
 

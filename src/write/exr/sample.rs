@@ -13,7 +13,7 @@ pub enum Sample {
     /// Half floats, or floats if the range or precision of halves is not enough for the radiance.
     #[default]
     Auto,
-    /// 16 bits: steps of 1/2048 or finer, up to 65504.
+    /// 16 bits; relative steps of 1/2048 or finer, values up to 65504.
     Half,
     /// 32 bits: exactly as merged.
     Float,
