@@ -5,9 +5,8 @@
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use hdralign::align::agreement::check_tiles;
 use hdralign::align::bitmaps::{MtbOptions, ThresholdBitmaps};
-use hdralign::align::features::homography::PointPair;
 use hdralign::align::features::sift::{SiftOptions, detect};
-use hdralign::align::features::{Features, Guide, RansacOptions, lmeds, match_mutual, ransac};
+use hdralign::align::features::{Features, Guide, PointPair, RansacOptions, lmeds, match_mutual, ransac};
 use hdralign::align::grey::Percentile;
 use hdralign::align::photometric::{CommonExposure, ToneTables};
 use hdralign::align::refinement::{FramePair, refine};

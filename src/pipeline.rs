@@ -98,7 +98,7 @@ pub struct Options {
 impl Options {
     /// Returns the stages that determine the memory of a run that aligns.
     pub(crate) fn aligning(&self) -> Stages {
-        let features = matches!(self.align.mode, AlignMode::Auto | AlignMode::Sift);
+        let features = matches!(self.align.mode, AlignMode::Auto | AlignMode::Sift | AlignMode::Surf);
         Stages { features, ..Stages::default() }
     }
 

@@ -8,6 +8,7 @@
 //! results have the same bytes on every arm. With [`choose`], tests and benches compare the arms.
 
 use pulp::{Arch, NullaryFnOnce};
+use std::f32::consts::{FRAC_PI_2, PI};
 use std::sync::atomic::{AtomicU8, Ordering};
 
 /// The instruction set for which loops are compiled.
@@ -167,6 +168,21 @@ pub fn exp2(value: f32) -> f32 {
     f32::from_bits(integer32(biased) << 23) * series
 }
 
+/// atan2 with an error of at most 2e-4 rad (0.01 degrees).
+#[inline(always)]
+pub fn atan2(y: f32, x: f32) -> f32 {
+    let (ax, ay) = (x.abs(), y.abs());
+    let (low, high) = if ax < ay { (ax, ay) } else { (ay, ax) };
+    // The least normal number avoids 0 / 0 and changes nothing else.
+    let a = low / if high > f32::MIN_POSITIVE { high } else { f32::MIN_POSITIVE };
+    let s = a * a;
+    // Odd minimax polynomial of atan on 0..=1.
+    let r = ((-0.046_496_473 * s + 0.159_314_22) * s - 0.327_622_76) * s * a + a;
+    let r = if ay > ax { FRAC_PI_2 - r } else { r };
+    let r = if x < 0.0 { PI - r } else { r };
+    if y < 0.0 { -r } else { r }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -229,5 +245,15 @@ mod tests {
             assert!((f64::from(exp2(value)) / exact - 1.0).abs() <= 3e-7, "{value}");
         }
         assert_eq!([0.0, 1.0, -126.0, 127.0].map(exp2), [1.0, 2.0, f32::MIN_POSITIVE, 2.0f32.powi(127)]);
+    }
+
+    #[test]
+    fn the_angle_is_that_of_the_platform() {
+        for i in 0..3600 {
+            let angle = (i as f32 - 1799.5) / 1800.0 * PI;
+            let (y, x) = (7.0 * angle.sin(), 7.0 * angle.cos());
+            assert!((atan2(y, x) - y.atan2(x)).abs() < 2e-4, "{angle}");
+        }
+        assert_eq!(atan2(0.0, 0.0), 0.0);
     }
 }

@@ -10,7 +10,7 @@ use crate::align::AlignOptions;
 use crate::align::bitmaps;
 use crate::align::bitmaps::{Motion, Rounding, ThresholdBitmaps, Zone, difference_shifted};
 use crate::align::features;
-use crate::align::features::homography::PointPair;
+use crate::align::features::robust::homography::PointPair;
 use crate::align::features::{FeatureSets, Features, Keypoint, RansacOptions};
 use crate::align::grey::{GreyPyramid, Percentile, measured_level};
 use crate::align::result::KeypointCounts;
@@ -177,7 +177,7 @@ impl FrameFeatures {
     pub fn new(frame: &GreyPyramid, options: &AlignOptions) -> Self {
         let level = measured_level(frame);
         FrameFeatures {
-            sets: features::features(frame, level, &options.sift, options.mtb.exclusion),
+            sets: features::features(frame, level, &options.detector(), options.mtb.exclusion),
             to_full: level_to_full(level),
             size: (frame.level(level).width(), frame.level(level).height()),
         }

@@ -8,7 +8,7 @@
 //!
 //! 1. `transform`: transforms and their models. `result`: what the alignment gives back.
 //! 2. [`grey`]: grey pyramids. [`resampling`]: kernels and rows. [`photometric`]: two frames at a common exposure.
-//! 3. [`bitmaps`]: median threshold bitmaps (Ward 2003). [`features`]: SIFT, matching, RANSAC, LMedS. Neither uses the other.
+//! 3. [`bitmaps`]: median threshold bitmaps (Ward 2003). [`features`]: SIFT, SURF, matching, RANSAC, LMedS. Neither uses the other.
 //! 4. [`refinement`]: Lucas & Kanade on the pixels. [`agreement`]: the check of a transform, tile by tile.
 //! 5. [`preset`] and [`transforms_file`]: transforms that are not estimated, and their file.
 //! 6. `local`: the parts of the picture that a transform does not fit.
@@ -46,7 +46,7 @@ use crate::bracket::Bracket;
 use crate::error::{Error, Result, Warning};
 use bitmaps::MtbOptions;
 pub use features::RobustMethod;
-use features::{RansacOptions, SiftOptions};
+use features::{Detector, RansacOptions, SiftOptions, SurfOptions};
 #[doc(hidden)]
 pub use grey::{GreyPyramid, grey_pyramid, searched_pyramid};
 use ladder::search;
@@ -68,6 +68,8 @@ pub enum AlignMode {
     Mtb,
     /// SIFT features only, for a homography.
     Sift,
+    /// SURF features only, for a homography. Faster than SIFT, and less precise.
+    Surf,
     /// No alignment.
     None,
 }
@@ -79,8 +81,10 @@ pub struct AlignOptions {
     pub mode: AlignMode,
     /// Options of the bitmaps and their search.
     pub mtb: MtbOptions,
-    /// Options of the feature detector.
+    /// Options of SIFT, the feature detector of all methods but [`AlignMode::Surf`].
     pub sift: SiftOptions,
+    /// Options of SURF.
+    pub surf: SurfOptions,
     /// Largest ratio of the distances of a descriptor to the nearest and the second nearest of a match (Lowe 2004,
     /// section 7.1).
     pub ratio: f64,
@@ -98,6 +102,7 @@ impl Default for AlignOptions {
             mode: AlignMode::Auto,
             mtb: MtbOptions::default(),
             sift: SiftOptions::default(),
+            surf: SurfOptions::default(),
             given: Vec::new(),
             ratio: 0.8,
             robust: RobustMethod::default(),
@@ -107,13 +112,22 @@ impl Default for AlignOptions {
 }
 
 impl AlignOptions {
+    /// The feature detector of the method.
+    pub(crate) fn detector(&self) -> Detector {
+        match self.mode {
+            AlignMode::Surf => Detector::Surf(self.surf.clone()),
+            _ => Detector::Sift(self.sift.clone()),
+        }
+    }
+
     /// Checks the values against their ranges; what is [given](Self::given) is checked against the bracket.
     ///
     /// # Errors
     /// [`Error::Option`] for the first that is out of range.
     pub fn validate(&self) -> Result<()> {
         let numbers = |options: &AlignOptions| {
-            let (mtb, sift, ransac) = (&options.mtb, &options.sift, &options.ransac);
+            let (mtb, ransac) = (&options.mtb, &options.ransac);
+            let (sift, surf) = (&options.sift, &options.surf);
             [
                 ("--max-rotation", mtb.max_rotation_deg, 0.0..=45.0, " degrees"),
                 ("mtb.max_shift", mtb.max_shift, 0.0..=1.0, " of the long side"),
@@ -122,6 +136,9 @@ impl AlignOptions {
                 ("sift.contrast", sift.contrast, 0.0..=1.0, ""),
                 ("sift.edge_ratio", sift.edge_ratio, 1.0..=1e6, ""),
                 ("sift.max_keypoints", sift.max_keypoints as f64, 1.0..=f64::INFINITY, ""),
+                ("surf.octaves", surf.octaves as f64, 1.0..=8.0, ""),
+                ("surf.contrast", surf.contrast, 0.0..=1.0, ""),
+                ("surf.max_keypoints", surf.max_keypoints as f64, 1.0..=f64::INFINITY, ""),
                 ("ratio", options.ratio, 0.0..=1.0, ""),
                 ("ransac.threshold", ransac.threshold, 1e-3..=1e3, " pixels"),
                 ("ransac.confidence", ransac.confidence, 0.0..=1.0, ""),
@@ -152,7 +169,7 @@ pub fn align(bracket: &Bracket, options: &AlignOptions) -> Result<(Alignment, Ve
         AlignMode::None => unmoved_but(bracket, &given),
         AlignMode::Auto => search(bracket, options, &given, |s| s.auto())?,
         AlignMode::Mtb => search(bracket, options, &given, |s| s.by_bitmaps_alone())?,
-        AlignMode::Sift => search(bracket, options, &given, |s| s.by_features_alone())?,
+        AlignMode::Sift | AlignMode::Surf => search(bracket, options, &given, |s| s.by_features_alone())?,
     };
     let mut warnings = warnings::of_frames(bracket, &placements);
     let (overlap, small) = warnings::common_overlap(bracket, &placements)?;

@@ -150,7 +150,7 @@ fn each_method_by_itself_finds_the_motion() {
     let bracket = bracket(&[(Transform::Identity, 0.0), (truth, 1.0)]);
     // Bitmaps are good to 0.3 px and 0.02 deg, 0.08 px at 230 px from the centre; keypoints to a good part of a pixel
     // each.
-    for (mode, tolerance) in [(AlignMode::Mtb, 0.6), (AlignMode::Sift, 1.5)] {
+    for (mode, tolerance) in [(AlignMode::Mtb, 0.6), (AlignMode::Sift, 1.5), (AlignMode::Surf, 1.5)] {
         let (alignment, _) = align(&bracket, &AlignOptions { mode, ..AlignOptions::default() }).unwrap();
         let error = alignment.placements[1].transform().unwrap().corner_distance(&truth, SIZE.0, SIZE.1);
         assert!(error < tolerance, "{mode:?}: {error} px");
@@ -173,6 +173,7 @@ fn option_out_of_range_is_an_error_that_names_it() {
         refused("sift.sigma", &|o| o.sift.sigma = value);
         refused("sift.contrast", &|o| o.sift.contrast = value);
         refused("sift.edge_ratio", &|o| o.sift.edge_ratio = value);
+        refused("surf.contrast", &|o| o.surf.contrast = value);
         refused("ratio", &|o| o.ratio = value);
         refused("ransac.threshold", &|o| o.ransac.threshold = value);
         refused("ransac.confidence", &|o| o.ransac.confidence = value);
@@ -180,6 +181,8 @@ fn option_out_of_range_is_an_error_that_names_it() {
     refused("sift.intervals", &|o| o.sift.intervals = 0);
     refused("sift.intervals", &|o| o.sift.intervals = usize::MAX);
     refused("sift.max_keypoints", &|o| o.sift.max_keypoints = 0);
+    refused("surf.octaves", &|o| o.surf.octaves = 0);
+    refused("surf.max_keypoints", &|o| o.surf.max_keypoints = 0);
     refused("ransac.max_trials", &|o| o.ransac.max_trials = 0);
     assert!(AlignOptions::default().validate().is_ok());
 }

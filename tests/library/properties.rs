@@ -201,7 +201,8 @@ fn options() -> impl Strategy<Value = Options> {
     let factor = prop_oneof![3 => Just(None), 1 => (-30..=30i32).prop_map(|e| Some(10f64.powi(e)))];
     let robust = select(vec![RobustMethod::Ransac, RobustMethod::Lmeds]);
     let none = AlignMode::None;
-    let modes = vec![AlignMode::Auto, AlignMode::Auto, AlignMode::Mtb, AlignMode::Sift, none, none, none];
+    let modes =
+        vec![AlignMode::Auto, AlignMode::Auto, AlignMode::Mtb, AlignMode::Sift, AlignMode::Surf, none, none, none];
     (
         (select(modes), robust, select(models), select(weights), select(spaces)),
         (rendering, factor, prop::option::of(0.0..=1.0f64), any::<[bool; 3]>(), (writing(), pictures())),

@@ -1,14 +1,14 @@
 //! Our SIFT compared with OpenCV's, an independent implementation, on the same picture (`tests/fixtures/README.md`).
 
 use hdralign::align::features::sift::{SiftOptions, detect};
-use hdralign::align::features::{Descriptor, Keypoint};
+use hdralign::align::features::{Descriptors, Keypoint, SiftDescriptor};
 use hdralign::plane::Plane;
 use std::path::Path;
 
 /// A keypoint of OpenCV, in our units.
 struct Theirs {
     point: Keypoint,
-    descriptor: Option<Descriptor>,
+    descriptor: Option<SiftDescriptor>,
 }
 
 fn fixture(name: &str) -> std::path::PathBuf {
@@ -99,22 +99,23 @@ fn both_find_the_same_places_scales_and_directions() {
 #[test]
 fn descriptors_of_the_same_places_find_each_other() {
     let ours = detect(&picture(), &SiftOptions::default());
-    let theirs: Vec<(Keypoint, Descriptor)> =
+    let theirs: Vec<(Keypoint, SiftDescriptor)> =
         theirs().into_iter().filter_map(|t| t.descriptor.map(|d| (t.point, d))).collect();
-    let distance = |a: &Descriptor, b: &Descriptor| -> i64 {
+    let Descriptors::Sift(descriptors) = &ours.descriptors else { panic!("descriptors of SIFT") };
+    let distance = |a: &SiftDescriptor, b: &SiftDescriptor| -> i64 {
         a.iter().zip(b).map(|(p, q)| (i64::from(*p) - i64::from(*q)).pow(2)).sum()
     };
     // OpenCV returns a part of all keypoints, we return all: only those that both found are matched, mutually.
-    let common: Vec<&(Keypoint, Descriptor)> =
+    let common: Vec<&(Keypoint, SiftDescriptor)> =
         theirs.iter().filter(|t| ours.keypoints.iter().any(|p| same_place(p, &t.0) && turn(p, &t.0) < 10.0)).collect();
     let (mut right, mut matched, mut close) = (0, 0, 0);
     for (point, descriptor) in &common {
-        let nearest = (0..ours.len()).min_by_key(|&i| distance(&ours.descriptors[i], descriptor)).unwrap();
-        let back = common.iter().min_by_key(|t| distance(&ours.descriptors[nearest], &t.1)).unwrap();
+        let nearest = (0..ours.len()).min_by_key(|&i| distance(&descriptors[i], descriptor)).unwrap();
+        let back = common.iter().min_by_key(|t| distance(&descriptors[nearest], &t.1)).unwrap();
         if back.0 == *point {
             matched += 1;
             right += usize::from(same_place(&ours.keypoints[nearest], point));
-            close += usize::from(distance(&ours.descriptors[nearest], descriptor) < 100 * 100);
+            close += usize::from(distance(&descriptors[nearest], descriptor) < 100 * 100);
         }
     }
     println!("{} in common, {matched} mutual, {right} right, {close} within 100 of 512", common.len());

@@ -5,7 +5,7 @@
 
 use crate::align::AlignOptions;
 use crate::align::features::duplicates::MatchIndex;
-use crate::align::features::homography::{PointPair, fit};
+use crate::align::features::robust::homography::{PointPair, fit};
 use crate::align::features::{
     Consensus, FeatureSets, Guide, Keypoint, RansacOptions, RobustMethod, distance_squared, lmeds, match_mutual, ransac,
 };

@@ -1,16 +1,41 @@
 //! The features of a frame: of its grey image and of its threshold bitmaps.
 //!
-//! In: a level of a grey pyramid. Out: [`FeatureSets`]. Cost: [`sift`] on the level, and on a quarter as many samples
-//! for each bitmap.
+//! In: a level of a grey pyramid and a [`Detector`]. Out: [`FeatureSets`]. Cost: that of the detector on the level, and
+//! on a quarter as many samples for each bitmap.
 
 use crate::align::features::duplicates::KeypointIndex;
 use crate::align::features::keypoint::{Features, Keypoint};
 use crate::align::features::sift::{self, SiftOptions};
+use crate::align::features::surf::{self, SurfOptions};
 use crate::align::grey::GreyPyramid;
 use crate::align::result::KeypointCounts;
 use crate::plane::Plane;
 use crate::pyramid::gaussian;
 use rayon::prelude::*;
+
+/// A detector of features, with its options.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Detector {
+    Sift(SiftOptions),
+    Surf(SurfOptions),
+}
+
+impl Detector {
+    fn detect(&self, grey: &Plane<u8>) -> Features {
+        match self {
+            Detector::Sift(options) => sift::detect(grey, options),
+            Detector::Surf(options) => surf::detect(grey, options),
+        }
+    }
+
+    /// The detector for bitmaps. A bitmap is not doubled: its only detail below a pixel is the staircase of its edges.
+    fn for_bitmaps(&self) -> Self {
+        match self {
+            Detector::Sift(options) => Detector::Sift(SiftOptions { double: false, ..options.clone() }),
+            Detector::Surf(options) => Detector::Surf(SurfOptions { double: false, ..options.clone() }),
+        }
+    }
+}
 
 /// Features of a frame: of the grey image, and of its threshold bitmaps.
 #[derive(Debug, Clone, Default)]
@@ -54,15 +79,14 @@ pub(super) const PERCENTILES: [u64; 7] = [6, 17, 33, 50, 67, 83, 94];
 const SMOOTHING: f64 = 0.7;
 
 /// The features of a frame on level `level` of its pyramid.
-pub(crate) fn features(pyramid: &GreyPyramid, level: usize, sift: &SiftOptions, exclusion: u8) -> FeatureSets {
+pub(crate) fn features(pyramid: &GreyPyramid, level: usize, detector: &Detector, exclusion: u8) -> FeatureSets {
     let grey = pyramid.level(level);
     let smooth = smoothed(grey);
-    // A bitmap is not doubled: its only detail below a pixel is the staircase of its edges.
-    let coarse = SiftOptions { double: false, ..sift.clone() };
+    let for_bitmaps = detector.for_bitmaps();
     let (plain, mtb) = rayon::join(
-        || sift::detect(grey, sift),
+        || detector.detect(grey),
         || -> Vec<Features> {
-            let at = |t: &f32| sift::detect(&bitmap(&smooth, *t, exclusion), &coarse);
+            let at = |t: &f32| for_bitmaps.detect(&bitmap(&smooth, *t, exclusion));
             thresholds(&smooth).par_iter().map(at).collect()
         },
     );

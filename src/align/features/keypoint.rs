@@ -1,5 +1,4 @@
-//! Keypoints and descriptors: the result of detection and the input of matching (Lowe 2004, see
-//! [`sift`](crate::align::features::sift)).
+//! Keypoints and descriptors: the result of detection and the input of matching.
 
 /// A distinctive point of an image.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -8,18 +7,36 @@ pub struct Keypoint {
     pub x: f32,
     /// Row, see `x`.
     pub y: f32,
-    /// Standard deviation of the Gaussian at which it was found, in pixels.
+    /// Standard deviation of the Gaussian at which it was found (of SURF: that its box filters approximate), in pixels.
     pub scale: f32,
-    /// Direction of the dominant gradient, from +x towards +y, in radians, -pi..=pi.
+    /// Dominant direction of the gradients, from +x towards +y, in radians, -pi..=pi.
     pub angle: f32,
-    /// |D|, the contrast of the extremum for grey values 0..=1.
+    /// Strength of the extremum for grey values 0..=1: |D| of SIFT, the determinant of the Hessian of SURF.
     pub response: f32,
     /// Whether it is brighter than its surroundings (otherwise it is darker).
     pub bright: bool,
 }
 
-/// The surroundings of a keypoint: 4 x 4 histograms of 8 gradient directions.
-pub type Descriptor = [u8; 128];
+/// The surroundings of a keypoint by SIFT: 4 x 4 histograms of 8 gradient directions.
+pub type SiftDescriptor = [u8; 128];
+
+/// The surroundings of a keypoint by SURF: 4 x 4 sums of dx, |dx|, dy and |dy|.
+pub type SurfDescriptor = [i8; 64];
+
+/// The descriptors of one image, in the order of its keypoints.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Descriptors {
+    /// Of SIFT.
+    Sift(Vec<SiftDescriptor>),
+    /// Of SURF. Their distances are not comparable with those of SIFT.
+    Surf(Vec<SurfDescriptor>),
+}
+
+impl Default for Descriptors {
+    fn default() -> Self {
+        Descriptors::Sift(Vec::new())
+    }
+}
 
 /// The keypoints of one image, sorted by position, and their descriptors.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -27,7 +44,7 @@ pub struct Features {
     /// The keypoints.
     pub keypoints: Vec<Keypoint>,
     /// The descriptor of each keypoint.
-    pub descriptors: Vec<Descriptor>,
+    pub descriptors: Descriptors,
 }
 
 impl Features {

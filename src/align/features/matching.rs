@@ -1,12 +1,12 @@
 //! Matching of descriptors.
 //!
 //! In: the [`Features`] of two images. Out: [`Match`]es that are mutual nearest neighbours and pass the ratio test.
-//! Cost: 128 multiply-adds for every pair of keypoints that may match. That is about one pair in ten: a hand-held camera
+//! Cost: 128 multiply-adds (64 for SURF) for every pair of keypoints that may match. That is about one pair in ten: a hand-held camera
 //! hardly rotates or zooms, and a point brighter than its surroundings is so at any exposure. Source: Lowe, "Distinctive
 //! Image Features from Scale-Invariant Keypoints", IJCV 60(2), 2004, section 7.1 (ratio of the nearest to the second
 //! nearest).
 
-use crate::align::features::{Descriptor, Features, Keypoint};
+use crate::align::features::{Descriptors, Features, Keypoint, sift, surf};
 use crate::align::transform::map;
 use nalgebra::Matrix3;
 use rayon::prelude::*;
@@ -35,25 +35,46 @@ pub struct Guide {
 /// The nearest neighbour must be nearer than `ratio` times the second nearest of the reference's keypoint. With a
 /// `guide` only neighbours near the predicted position are candidates. Candidates are both bright or both dark, differ
 /// in direction by at most 45 degrees (some by up to 67.5, due to binning), and in scale by at most a factor of two.
+///
+/// Features of different detectors have no matches.
 pub fn match_mutual(reference: &Features, frame: &Features, ratio: f64, guide: Option<&Guide>) -> Vec<Match> {
-    let table = Table::new(frame);
+    let points = (reference.keypoints.as_slice(), frame.keypoints.as_slice());
+    match (&reference.descriptors, &frame.descriptors) {
+        (Descriptors::Sift(a), Descriptors::Sift(b)) => matches(points, (a, b), sift::LENGTH, ratio, guide),
+        (Descriptors::Surf(a), Descriptors::Surf(b)) => matches(points, (a, b), surf::LENGTH, ratio, guide),
+        _ => Vec::new(),
+    }
+}
+
+/// [`match_mutual`] for the points and descriptors of the reference and the frame; `length` is that of a descriptor.
+fn matches<T: Copy + Into<i16> + Sync, const N: usize>(
+    (points, frame_points): (&[Keypoint], &[Keypoint]),
+    (descriptors, frame_descriptors): (&[[T; N]], &[[T; N]]),
+    length: f32,
+    ratio: f64,
+    guide: Option<&Guide>,
+) -> Vec<Match> {
+    let table = Table::new(frame_points, frame_descriptors);
+    let farthest = (FARTHEST * length * length) as i32;
     let grid = guide.map(|g| (g, Grid::new(&table.points, g.radius)));
-    let chunks: Vec<Chunk> = (0..reference.len().div_ceil(CHUNK))
+    let chunks: Vec<Chunk> = (0..points.len().div_ceil(CHUNK))
         .into_par_iter()
         .map(|chunk| {
-            let mut found =
-                Chunk { nearest: Vec::with_capacity(CHUNK), nearest_references: vec![NO_REFERENCE; frame.len()] };
-            for i in chunk * CHUNK..((chunk + 1) * CHUNK).min(reference.len()) {
+            let mut found = Chunk {
+                nearest: Vec::with_capacity(CHUNK),
+                nearest_references: vec![NO_REFERENCE; frame_points.len()],
+            };
+            for i in chunk * CHUNK..((chunk + 1) * CHUNK).min(points.len()) {
                 let mut search = Nearest {
                     point: i as u32,
-                    descriptor: &WideDescriptor::new(&reference.descriptors[i]),
+                    descriptor: &WideDescriptor::new(&descriptors[i]),
                     table: &table,
                     nearest_references: &mut found.nearest_references,
                     first: i32::MAX,
                     second: i32::MAX,
                     at: None,
                 };
-                let point = &reference.keypoints[i];
+                let point = &points[i];
                 match &grid {
                     None => table.candidates(point).into_iter().flatten().for_each(|j| search.consider(j)),
                     Some((guide, grid)) => {
@@ -63,14 +84,14 @@ pub fn match_mutual(reference: &Features, frame: &Features, ratio: f64, guide: O
                             .for_each(|j| search.consider(j));
                     }
                 }
-                let best = search.if_unambiguous(ratio);
+                let best = search.if_unambiguous(ratio, farthest);
                 found.nearest.push(best);
             }
             found
         })
         .collect();
     // The nearest reference keypoint of each of the frame's keypoints; the first of equals.
-    let mut nearest_references = vec![NO_REFERENCE; frame.len()];
+    let mut nearest_references = vec![NO_REFERENCE; frame_points.len()];
     for chunk in &chunks {
         for (best, nearest_reference) in nearest_references.iter_mut().zip(&chunk.nearest_references) {
             if nearest_reference.distance < best.distance {
@@ -128,27 +149,27 @@ fn may_match(a: &Keypoint, b: &Keypoint) -> bool {
 }
 
 /// The frame's features, ordered so that the candidates for a keypoint (see [`may_match`]) are a few ranges.
-struct Table {
+struct Table<const N: usize> {
     /// Index in the frame's features.
     order: Vec<usize>,
     points: Vec<Keypoint>,
-    descriptors: Vec<WideDescriptor>,
+    descriptors: Vec<WideDescriptor<N>>,
     /// Start of each bin (dark or bright, and direction), and the end.
     starts: [usize; 2 * TURNS + 1],
 }
 
-impl Table {
-    fn new(features: &Features) -> Self {
+impl<const N: usize> Table<N> {
+    fn new<T: Copy + Into<i16>>(points: &[Keypoint], descriptors: &[[T; N]]) -> Self {
         let key = |i: usize| {
-            let k = &features.keypoints[i];
+            let k = &points[i];
             usize::from(k.bright) * TURNS + turn(k.angle)
         };
-        let scale = |i: usize| features.keypoints[i].scale;
-        let mut order: Vec<usize> = (0..features.len()).collect();
+        let scale = |i: usize| points[i].scale;
+        let mut order: Vec<usize> = (0..points.len()).collect();
         order.sort_by(|&a, &b| key(a).cmp(&key(b)).then(scale(a).total_cmp(&scale(b))).then(a.cmp(&b)));
         let starts = std::array::from_fn(|k| order.partition_point(|&i| key(i) < k));
-        let points = order.iter().map(|&i| features.keypoints[i]).collect();
-        let descriptors = order.iter().map(|&i| WideDescriptor::new(&features.descriptors[i])).collect();
+        let points = order.iter().map(|&i| points[i]).collect();
+        let descriptors = order.iter().map(|&i| WideDescriptor::new(&descriptors[i])).collect();
         Table { order, points, descriptors, starts }
     }
 
@@ -167,26 +188,26 @@ impl Table {
 }
 
 /// A descriptor as 16-bit integers, for multiplication, and its squared length.
-struct WideDescriptor {
-    values: [i16; 128],
+struct WideDescriptor<const N: usize> {
+    values: [i16; N],
     square: i32,
 }
 
-impl WideDescriptor {
-    fn new(descriptor: &Descriptor) -> Self {
-        let values = descriptor.map(i16::from);
+impl<const N: usize> WideDescriptor<N> {
+    fn new<T: Copy + Into<i16>>(descriptor: &[T; N]) -> Self {
+        let values = descriptor.map(Into::into);
         WideDescriptor { square: dot(&values, &values), values }
     }
 
     /// Squared Euclidean distance.
-    fn distance_squared(&self, other: &WideDescriptor) -> i32 {
+    fn distance_squared(&self, other: &Self) -> i32 {
         self.square + other.square - 2 * dot(&self.values, &other.values)
     }
 }
 
 /// Scalar product of two descriptors. Eight partial sums let the compiler use vectors of eight.
 #[inline]
-fn dot(a: &[i16; 128], b: &[i16; 128]) -> i32 {
+fn dot<const N: usize>(a: &[i16; N], b: &[i16; N]) -> i32 {
     let mut sums = [0i32; 8];
     for (x, y) in a.chunks_exact(8).zip(b.chunks_exact(8)) {
         for (sum, (p, q)) in sums.iter_mut().zip(x.iter().zip(y)) {
@@ -199,17 +220,17 @@ fn dot(a: &[i16; 128], b: &[i16; 128]) -> i32 {
 /// Search for the frame keypoint nearest to a reference keypoint.
 ///
 /// It also updates the nearest reference keypoint of every frame keypoint that is compared.
-struct Nearest<'a> {
+struct Nearest<'a, const N: usize> {
     point: u32,
-    descriptor: &'a WideDescriptor,
-    table: &'a Table,
+    descriptor: &'a WideDescriptor<N>,
+    table: &'a Table<N>,
     nearest_references: &'a mut [NearestReference],
     first: i32,
     second: i32,
     at: Option<usize>,
 }
 
-impl Nearest<'_> {
+impl<const N: usize> Nearest<'_, N> {
     /// Compares the descriptor with that of the table's keypoint `j`.
     #[inline]
     fn consider(&mut self, j: usize) {
@@ -226,16 +247,16 @@ impl Nearest<'_> {
     }
 
     /// The nearest keypoint, if it passes the ratio test; equal distances do not.
-    fn if_unambiguous(&self, ratio: f64) -> Option<usize> {
+    fn if_unambiguous(&self, ratio: f64, farthest: i32) -> Option<usize> {
         let clear = self.second == i32::MAX || f64::from(self.first) < ratio * ratio * f64::from(self.second);
-        self.at.filter(|_| clear && self.first <= FARTHEST)
+        self.at.filter(|_| clear && self.first <= farthest)
     }
 }
 
-/// Largest squared distance of matching descriptors, even without a competitor.
+/// Largest squared distance of matching descriptors, even without a competitor, in squared lengths of a descriptor.
 ///
-/// It is 2/3 of the distance of descriptors without common entries, whose length is 512 each.
-const FARTHEST: i32 = 2 * 512 * 512 * 4 / 9;
+/// The distance is 2/3 of that of uncorrelated descriptors, which is sqrt(2) lengths.
+const FARTHEST: f32 = 2.0 * 4.0 / 9.0;
 
 /// Indices of the frame's keypoints, by square cells as wide as the guide's radius.
 struct Grid {
@@ -274,9 +295,10 @@ impl Grid {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::align::features::SiftDescriptor;
 
     /// A pseudorandom descriptor for each seed.
-    fn descriptor(seed: u32) -> Descriptor {
+    fn descriptor(seed: u32) -> SiftDescriptor {
         let mut state = seed.wrapping_mul(0x9E37_79B9) | 1;
         std::array::from_fn(|_| {
             state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -296,7 +318,7 @@ mod tests {
                 bright: true,
             })
             .collect();
-        Features { keypoints, descriptors: seeds.iter().map(|&s| descriptor(s)).collect() }
+        Features { keypoints, descriptors: Descriptors::Sift(seeds.iter().map(|&s| descriptor(s)).collect()) }
     }
 
     #[test]
@@ -331,7 +353,8 @@ mod tests {
         // Descriptors with few non-zero values, so that many are similar and nearest neighbours are often not mutual.
         let coarse = |seeds: std::ops::Range<u32>| {
             let mut f = features(&seeds.collect::<Vec<_>>(), 0.0);
-            f.descriptors.iter_mut().for_each(|d| d[6..].fill(0));
+            let Descriptors::Sift(descriptors) = &mut f.descriptors else { unreachable!() };
+            descriptors.iter_mut().for_each(|d| d[6..].fill(0));
             f
         };
         let (a, b) = (coarse(0..150), coarse(100..260));
@@ -350,7 +373,10 @@ mod tests {
                 if !may_match(&a.keypoints[i], &b.keypoints[j]) {
                     return i32::MAX;
                 }
-                let pairs = a.descriptors[i].iter().zip(&b.descriptors[j]);
+                let (Descriptors::Sift(p), Descriptors::Sift(q)) = (&a.descriptors, &b.descriptors) else {
+                    unreachable!()
+                };
+                let pairs = p[i].iter().zip(&q[j]);
                 pairs.map(|(p, q)| (i32::from(*p) - i32::from(*q)).pow(2)).sum()
             };
             let mut expected = Vec::new();
@@ -359,7 +385,10 @@ mod tests {
                 row.sort();
                 let j = row[0].1;
                 let is_clear = row[1].0 == i32::MAX || f64::from(row[0].0) < 0.64 * f64::from(row[1].0);
-                if row[0].0 <= FARTHEST && is_clear && (0..a.len()).all(|k| (d(k, j), k) >= (row[0].0, i)) {
+                if row[0].0 <= (FARTHEST * 512.0 * 512.0) as i32
+                    && is_clear
+                    && (0..a.len()).all(|k| (d(k, j), k) >= (row[0].0, i))
+                {
                     expected.push(Match { reference: i, frame: j });
                 }
             }
@@ -372,7 +401,10 @@ mod tests {
     fn only_the_nearest_of_two_candidates_is_taken() {
         let mut near = descriptor(5);
         near[0] ^= 1;
-        let a = Features { keypoints: features(&[1, 2], 0.0).keypoints, descriptors: vec![near, descriptor(5)] };
+        let a = Features {
+            keypoints: features(&[1, 2], 0.0).keypoints,
+            descriptors: Descriptors::Sift(vec![near, descriptor(5)]),
+        };
         let b = features(&[5, 6], 0.0);
         assert_eq!(match_mutual(&a, &b, 0.8, None), [Match { reference: 1, frame: 0 }]);
     }

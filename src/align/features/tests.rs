@@ -15,7 +15,12 @@ const SIZE: (usize, usize) = (480, 320);
 
 fn sets(seed: u64, transform: &Transform, ev: f64) -> FeatureSets {
     let pyramid = GreyPyramid::new(Scene::new(seed).photograph(SIZE, transform, Shot::at(ev)));
-    features(&pyramid, measured_level(&pyramid), &SiftOptions::default(), MtbOptions::default().exclusion)
+    features(
+        &pyramid,
+        measured_level(&pyramid),
+        &Detector::Sift(SiftOptions::default()),
+        MtbOptions::default().exclusion,
+    )
 }
 
 fn by_plain_alone(sets: &FeatureSets) -> FeatureSets {
@@ -88,7 +93,7 @@ fn thresholds_split_the_pixels_at_their_percentile() {
 
 fn keypoints(list: &[(f32, f32, f32)]) -> Features {
     let point = |&(x, y, scale): &(f32, f32, f32)| Keypoint { x, y, scale, angle: 0.0, response: 0.1, bright: true };
-    Features { keypoints: list.iter().map(point).collect(), descriptors: vec![[0; 128]; list.len()] }
+    Features { keypoints: list.iter().map(point).collect(), descriptors: Descriptors::Sift(vec![[0; 128]; list.len()]) }
 }
 
 #[test]

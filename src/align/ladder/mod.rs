@@ -186,7 +186,7 @@ impl Search<'_> {
 
     fn features(&self, i: usize) -> FeatureSets {
         let level = measured_level(self.reference_pyramid());
-        features::features(&self.pyramids[i], level, &self.options.sift, self.options.mtb.exclusion)
+        features::features(&self.pyramids[i], level, &self.options.detector(), self.options.mtb.exclusion)
     }
 
     /// The homography of the consensus of the matches, and the number of inliers.

@@ -37,9 +37,10 @@ const LAYERS: [&str; 26] = [
 ];
 
 /// Alternatives for the same task, which must not use each other.
-const ALTERNATIVES: [(&str, &[&str]); 5] = [
+const ALTERNATIVES: [(&str, &[&str]); 6] = [
     ("align", &["bitmaps", "features"]),
-    ("align::features", &["ransac", "lmeds"]),
+    ("align::features", &["sift", "surf"]),
+    ("align::features::robust", &["ransac", "lmeds"]),
     ("response", &["debevec", "mitsunaga_nayar", "robertson"]),
     ("tonemap", &["natural", "operators"]),
     ("tonemap::operators", &["reinhard", "drago", "durand", "fattal", "mantiuk06", "mantiuk08"]),

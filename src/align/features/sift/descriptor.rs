@@ -2,7 +2,7 @@
 
 use super::extrema::Extremum;
 use super::gradient::{Gradients, Surroundings};
-use crate::align::features::Descriptor;
+use crate::align::features::SiftDescriptor;
 use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};
 use std::f32::consts::PI;
@@ -21,10 +21,10 @@ const CELL: f64 = 3.0;
 /// Largest entry of the normalised descriptor: large gradients may be due to the illumination.
 const CLAMP: f32 = 0.2;
 /// Length of the stored descriptor.
-const LENGTH: f32 = 512.0;
+pub(in crate::align::features) const LENGTH: f32 = 512.0;
 
 /// The descriptor of `extremum` relative to the direction `angle`.
-pub(super) fn describe(level: &Plane<f32>, extremum: &Extremum, angle: f32) -> Descriptor {
+pub(super) fn describe(level: &Plane<f32>, extremum: &Extremum, angle: f32) -> SiftDescriptor {
     let cell = CELL * extremum.sigma;
     let (sin, cos) = ((libm::sin(angle.into()) / cell) as f32, (libm::cos(angle.into()) / cell) as f32);
     // The outermost cells receive samples up to half a cell beyond them, sqrt(2) times as far at the corners.

@@ -2,10 +2,10 @@
 
 use super::SiftOptions;
 use super::scale_space::{Octave, ScaleSpace};
-use crate::align::features::Keypoint;
+use crate::align::features::{Keypoint, interpolation};
 use crate::plane::{Plane, map_bands};
 use crate::simd::{Loops, at_least, at_most, vectorised};
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 
 /// An extremum of D, in pixels of its octave.
 #[derive(Debug, Clone, Copy)]
@@ -156,26 +156,9 @@ fn localise(
             let (x, y) = (x.wrapping_add_signed(dx), y.wrapping_add_signed(dy));
             octave.difference(interval.wrapping_add_signed(ds), x, y).into()
         };
-        let v = d(0, 0, 0);
-        let gradient = 0.5 * Vector3::new(d(1, 0, 0) - d(-1, 0, 0), d(0, 1, 0) - d(0, -1, 0), d(0, 0, 1) - d(0, 0, -1));
-        let cross = |a: f64, b: f64, c: f64, e: f64| 0.25 * (a - b - c + e);
-        let xy = cross(d(1, 1, 0), d(-1, 1, 0), d(1, -1, 0), d(-1, -1, 0));
-        let xs = cross(d(1, 0, 1), d(-1, 0, 1), d(1, 0, -1), d(-1, 0, -1));
-        let ys = cross(d(0, 1, 1), d(0, -1, 1), d(0, 1, -1), d(0, -1, -1));
-        let hessian = Matrix3::new(
-            d(1, 0, 0) + d(-1, 0, 0) - 2.0 * v,
-            xy,
-            xs,
-            xy,
-            d(0, 1, 0) + d(0, -1, 0) - 2.0 * v,
-            ys,
-            xs,
-            ys,
-            d(0, 0, 1) + d(0, 0, -1) - 2.0 * v,
-        );
-        let offset = -(hessian.try_inverse()? * gradient);
+        let (offset, value) = interpolation::extremum(d)?;
         if offset.iter().all(|o| o.abs() <= 0.5) {
-            return Some((interval, x, y, offset, v + 0.5 * gradient.dot(&offset)));
+            return Some((interval, x, y, offset, value));
         }
         if offset.iter().any(|o| !o.is_finite() || o.abs() > 100.0) {
             return None;

@@ -2,8 +2,7 @@
 
 use super::extrema::Extremum;
 use crate::plane::Plane;
-use crate::simd::{Loops, vectorised};
-use std::f32::consts::{FRAC_PI_2, PI};
+use crate::simd::{Loops, atan2, vectorised};
 use std::ops::Range;
 use std::sync::LazyLock;
 
@@ -54,21 +53,6 @@ impl Loops for RowGradients<'_> {
     }
 }
 
-/// atan2 with an error of at most 2e-4 rad (0.01 degrees), a thousandth of a histogram bin.
-#[inline(always)]
-pub(super) fn atan2(y: f32, x: f32) -> f32 {
-    let (ax, ay) = (x.abs(), y.abs());
-    let (low, high) = if ax < ay { (ax, ay) } else { (ay, ax) };
-    // The least normal number avoids 0 / 0 and changes nothing else.
-    let a = low / if high > f32::MIN_POSITIVE { high } else { f32::MIN_POSITIVE };
-    let s = a * a;
-    // Odd minimax polynomial of atan on 0..=1.
-    let r = ((-0.046_496_473 * s + 0.159_314_22) * s - 0.327_622_76) * s * a + a;
-    let r = if ay > ax { FRAC_PI_2 - r } else { r };
-    let r = if x < 0.0 { PI - r } else { r };
-    if y < 0.0 { -r } else { r }
-}
-
 /// The samples around an extremum that have neighbours on all sides, and the Gaussian weights of their columns and rows.
 pub(super) struct Surroundings {
     pub(super) columns: Range<usize>,
@@ -109,16 +93,6 @@ fn exp_minus(t: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_angle_is_that_of_the_platform() {
-        for i in 0..3600 {
-            let angle = (i as f32 - 1799.5) / 1800.0 * PI;
-            let (y, x) = (7.0 * angle.sin(), 7.0 * angle.cos());
-            assert!((atan2(y, x) - y.atan2(x)).abs() < 2e-4, "{angle}");
-        }
-        assert_eq!(atan2(0.0, 0.0), 0.0);
-    }
 
     #[test]
     fn gradients_are_differences_of_the_neighbours() {

@@ -10,9 +10,9 @@ mod gradient;
 mod orientation;
 mod scale_space;
 
-use crate::align::features::{Descriptor, Features, Keypoint};
+use crate::align::features::{Descriptors, Features, Keypoint, SiftDescriptor, spread};
 use crate::plane::Plane;
-use extrema::Extremum;
+pub(super) use descriptor::LENGTH;
 use rayon::prelude::*;
 use scale_space::ScaleSpace;
 
@@ -44,9 +44,10 @@ impl Default for SiftOptions {
 /// The options must be within the ranges of [`AlignOptions::validate`](crate::align::AlignOptions::validate).
 pub fn detect(grey: &Plane<u8>, options: &SiftOptions) -> Features {
     let space = ScaleSpace::new(grey.map(|v| f32::from(v) / 255.0), options);
-    let mut found = extrema::find(&space, options);
-    limit(&mut found, &space, (grey.width(), grey.height()), options.max_keypoints);
-    let described: Vec<Vec<(Keypoint, Descriptor)>> = found
+    let found = extrema::find(&space, options);
+    let points = found.iter().map(|extremum| extremum.keypoint(&space, 0.0)).collect::<Vec<_>>();
+    let found = spread::strongest(found, &points, (grey.width(), grey.height()), options.max_keypoints);
+    let described: Vec<Vec<(Keypoint, SiftDescriptor)>> = found
         .par_iter()
         .map(|extremum| {
             let level = extremum.level(&space);
@@ -56,50 +57,8 @@ pub fn detect(grey: &Plane<u8>, options: &SiftOptions) -> Features {
                 .collect()
         })
         .collect();
-    let mut all: Vec<_> = described.concat();
-    all.sort_by(|(a, _), (b, _)| {
-        a.y.total_cmp(&b.y)
-            .then(a.x.total_cmp(&b.x))
-            .then(a.scale.total_cmp(&b.scale))
-            .then(a.angle.total_cmp(&b.angle))
-    });
-    let (keypoints, descriptors) = all.into_iter().unzip();
-    Features { keypoints, descriptors }
-}
-
-/// Number of cells along the long side of the image for [`limit`].
-const CELLS: usize = 12;
-
-/// Keeps at most `most` of `found`: the strongest of each cell of the image, so that all of it is covered.
-///
-/// What cells with few extrema do not use, the others do.
-fn limit(found: &mut Vec<Extremum>, space: &ScaleSpace, (width, height): (usize, usize), most: usize) {
-    if found.len() <= most {
-        return;
-    }
-    let cell = (width.max(height) as f32 / CELLS as f32).max(1.0);
-    let columns = (width as f32 / cell) as usize + 1;
-    let rows = (height as f32 / cell) as usize + 1;
-    let mut cells: Vec<Vec<(f32, usize)>> = vec![Vec::new(); columns * rows];
-    for (i, extremum) in found.iter().enumerate() {
-        let k = extremum.keypoint(space, 0.0);
-        let at = ((k.y.max(0.0) / cell) as usize).min(rows - 1) * columns
-            + ((k.x.max(0.0) / cell) as usize).min(columns - 1);
-        cells[at].push((k.response, i));
-    }
-    // First the strongest of every cell, then the second strongest of every cell, and so on.
-    let mut order: Vec<(usize, f32, usize)> = Vec::with_capacity(found.len());
-    for cell in &mut cells {
-        cell.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-        order.extend(cell.iter().enumerate().map(|(rank, &(response, i))| (rank, response, i)));
-    }
-    order.sort_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)).then(a.2.cmp(&b.2)));
-    let mut keep = vec![false; found.len()];
-    for &(_, _, i) in &order[..most] {
-        keep[i] = true;
-    }
-    let mut keep = keep.into_iter();
-    found.retain(|_| keep.next().unwrap_or(false));
+    let (keypoints, descriptors) = spread::by_position(described.concat()).into_iter().unzip();
+    Features { keypoints, descriptors: Descriptors::Sift(descriptors) }
 }
 
 #[cfg(test)]

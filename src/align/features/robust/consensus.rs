@@ -6,7 +6,7 @@
 //! Trial *i* draws its four pairs from a counter-based generator of (seed, *i*), so the result is the same on any
 //! machine.
 
-use crate::align::features::homography::{PointPair, fit};
+use crate::align::features::robust::homography::{PointPair, fit};
 use crate::align::transform::map;
 use nalgebra::Matrix3;
 

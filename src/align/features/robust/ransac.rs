@@ -5,8 +5,8 @@
 //! 1981; scored by the truncated sum of Torr & Zisserman (MSAC, CVIU 78, 2000), refitted to the inliers after every
 //! improvement (Chum, Matas & Kittler, DAGM 2003).
 
-use crate::align::features::consensus::{distance_squared, guess, inliers, trials_for};
-use crate::align::features::homography::{PointPair, fit};
+use crate::align::features::robust::consensus::{distance_squared, guess, inliers, trials_for};
+use crate::align::features::robust::homography::{PointPair, fit};
 use crate::align::features::{Consensus, RansacOptions};
 use nalgebra::Matrix3;
 
@@ -64,7 +64,7 @@ fn polish(pairs: &[PointPair], mut cost: f64, mut h: Matrix3<f64>, limit: f64) -
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::align::features::consensus::tests::{H, pairs};
+    use crate::align::features::robust::consensus::tests::{H, pairs};
     use crate::align::transform::map;
 
     #[test]

@@ -8,8 +8,8 @@
 //! Unlike RANSAC it needs no threshold, as the median measures the scatter of the inliers. It finds nothing if more
 //! than half of the pairs are wrong.
 
-use crate::align::features::consensus::{guess, inliers, trials_for};
-use crate::align::features::homography::{PointPair, fit};
+use crate::align::features::robust::consensus::{guess, inliers, trials_for};
+use crate::align::features::robust::homography::{PointPair, fit};
 use crate::align::features::{Consensus, RansacOptions, distance_squared};
 use crate::statistics::median;
 use nalgebra::Matrix3;
@@ -79,7 +79,7 @@ fn median_of_squares(pairs: &[PointPair], h: &Matrix3<f64>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::align::features::consensus::tests::{H, pairs};
+    use crate::align::features::robust::consensus::tests::{H, pairs};
     use crate::align::transform::map;
 
     #[test]

@@ -1,0 +1,69 @@
+//! SURF: keypoints and descriptors from sums over boxes of pixels. Faster than SIFT, with fewer and less precise
+//! keypoints.
+//!
+//! In: a grey image. Out: its [`Features`]. Cost: about 20 additions per pixel for each of four filters in every octave,
+//! then some thousand additions per keypoint. Source: Bay, Tuytelaars & Van Gool, "SURF: Speeded Up Robust Features",
+//! ECCV 2006; each submodule is one of its sections.
+
+mod descriptor;
+mod hessian;
+mod integral;
+mod orientation;
+
+pub(super) use descriptor::LENGTH;
+
+use crate::align::features::{Descriptors, Features, Keypoint, SurfDescriptor, spread};
+use crate::plane::Plane;
+use crate::pyramid::double;
+use integral::Integral;
+use rayon::prelude::*;
+
+/// Settings of the detector; the defaults are the paper's where it names one.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SurfOptions {
+    /// Number of octaves (section 3.2: keypoints become rare after four).
+    pub octaves: usize,
+    /// Whether to double the image first, for features of the smallest scale (section 3.2).
+    pub double: bool,
+    /// Least determinant of the Hessian at an extremum, for grey values 0..=1.
+    pub contrast: f64,
+    /// Largest number of keypoints, spread over the image.
+    pub max_keypoints: usize,
+}
+
+impl Default for SurfOptions {
+    fn default() -> Self {
+        SurfOptions { octaves: 4, double: true, contrast: 0.001, max_keypoints: 5000 }
+    }
+}
+
+/// The features of `grey`, sorted by position.
+///
+/// The options must be within the ranges of [`AlignOptions::validate`](crate::align::AlignOptions::validate).
+pub fn detect(grey: &Plane<u8>, options: &SurfOptions) -> Features {
+    let step = if options.double { 0.5 } else { 1.0 };
+    let integral = if options.double {
+        // Grey values are positive: the conversion rounds.
+        Integral::new(&double(&grey.map(f32::from)).map(|v| (v + 0.5) as u8))
+    } else {
+        Integral::new(grey)
+    };
+    let found = hessian::find(&integral, options);
+    let size = (integral.width(), integral.height());
+    let found = spread::strongest(found.clone(), &found, size, options.max_keypoints);
+    let described: Vec<(Keypoint, SurfDescriptor)> = found
+        .par_iter()
+        .map(|point| {
+            let angle = orientation::assign(&integral, point);
+            let descriptor = descriptor::describe(&integral, point, angle);
+            let keypoint =
+                Keypoint { x: point.x * step, y: point.y * step, scale: point.scale * step, angle, ..*point };
+            (keypoint, descriptor)
+        })
+        .collect();
+    let (keypoints, descriptors) = spread::by_position(described).into_iter().unzip();
+    Features { keypoints, descriptors: Descriptors::Surf(descriptors) }
+}
+
+#[cfg(test)]
+mod tests;
