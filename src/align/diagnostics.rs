@@ -11,7 +11,7 @@ use crate::align::bitmaps;
 use crate::align::bitmaps::{Motion, Rounding, ThresholdBitmaps, Zone, difference_shifted};
 use crate::align::features;
 use crate::align::features::robust::homography::PointPair;
-use crate::align::features::{FeatureSets, Features, Keypoint, RansacOptions};
+use crate::align::features::{Detector, FeatureSets, Features, Keypoint, RansacOptions};
 use crate::align::grey::{GreyPyramid, Percentile, measured_level};
 use crate::align::result::KeypointCounts;
 use crate::align::transform::{Transform, distance, level_to_full, map};
@@ -174,10 +174,10 @@ pub struct FrameFeatures {
 
 impl FrameFeatures {
     /// The features of `frame`.
-    pub fn new(frame: &GreyPyramid, options: &AlignOptions) -> Self {
+    pub(crate) fn new(frame: &GreyPyramid, detector: &Detector, options: &AlignOptions) -> Self {
         let level = measured_level(frame);
         FrameFeatures {
-            sets: features::features(frame, level, &options.detector(), options.mtb.exclusion),
+            sets: features::features(frame, level, detector, options.mtb.exclusion),
             to_full: level_to_full(level),
             size: (frame.level(level).width(), frame.level(level).height()),
         }
@@ -321,7 +321,7 @@ mod tests {
     fn inliers_agree_with_the_truth() {
         let truth = rigid(9.0, -6.0, 1.7);
         let options = AlignOptions::default();
-        let [reference, frame] = pair(&truth).map(|p| FrameFeatures::new(&p, &options));
+        let [reference, frame] = pair(&truth).map(|p| FrameFeatures::new(&p, &options.detector(), &options));
         let [plain, mtb, merged] = matchings(&reference, &frame, &options);
         assert!(merged.pairs.len() <= plain.pairs.len() + mtb.pairs.len() && merged.pairs.len() >= plain.pairs.len());
         let inliers = [&plain, &mtb, &merged].map(Matching::inliers);

@@ -2,8 +2,8 @@
 //!
 //! In: a [`Bracket`], its [`Alignment`] and the options used for it. Out: an [`Inspection`]: `Tables` of exposures, alignment,
 //! bitmaps, keypoints and matches; and for each frame [`Sheet`]s of bitmaps, keypoints, matches, XOR curves and edges, drawn on
-//! request. Cost: bitmaps and features of all frames, some tenths of a second each, even if the alignment did not need them;
-//! the same again for drawing. Source: the tables and figures of chapter 4 of the thesis, for any bracket.
+//! request. Cost: bitmaps and features of all frames by both detectors, some tenths of a second each, even if the alignment
+//! did not need them; as much again for drawing. Source: the tables and figures of chapter 4 of the thesis, for any bracket.
 
 pub(crate) mod files;
 pub(crate) mod sheets;
@@ -11,7 +11,8 @@ pub(crate) mod tables;
 pub(crate) mod text;
 
 use crate::align::diagnostics::{FeatureKind, FrameBitmaps, FrameFeatures, Matching, XorCurves, matchings, xor_curves};
-use crate::align::{AlignOptions, Alignment, GreyPyramid, grey_pyramid, searched_pyramid};
+use crate::align::features::Detector;
+use crate::align::{AlignMode, AlignOptions, Alignment, GreyPyramid, grey_pyramid, searched_pyramid};
 use crate::bracket::{Bracket, Frame};
 use crate::draw::image::png_bits;
 use crate::draw::markup::file_name;
@@ -23,8 +24,9 @@ use sheets::overlay::{self, Overlay};
 use sheets::photograph::Photograph;
 use sheets::views::{self, Couple};
 use sheets::{curves, keypoints, matches};
+use std::time::Instant;
 use strum::VariantArray;
-use tables::Tables;
+use tables::{DetectorTimes, Tables};
 
 /// Maximum width and height of a drawn frame, in px.
 const DRAWN: (usize, usize) = (1600, 1600);
@@ -35,17 +37,18 @@ const DRAWN_BESIDE: (usize, usize) = (792, 1000);
 #[derive(Debug, Clone)]
 struct Evidence {
     bitmaps: FrameBitmaps,
-    features: FrameFeatures,
-    /// `None` for the reference.
-    against: Option<Against>,
+    /// Difference from the bitmaps of the reference; `None` for the reference.
+    xor: Option<XorCurves>,
+    sift: Detected,
+    surf: Detected,
 }
 
-/// Comparison of a frame with the reference.
+/// The features of a frame that one detector found.
 #[derive(Debug, Clone)]
-struct Against {
-    xor: XorCurves,
-    /// Indexed by [`FeatureKind`].
-    matchings: [Matching; 3],
+struct Detected {
+    features: FrameFeatures,
+    /// Matches with the reference, indexed by [`FeatureKind`]; `None` for the reference.
+    matchings: Option<[Matching; 3]>,
 }
 
 /// The data that the alignment of a bracket is based on.
@@ -53,6 +56,8 @@ struct Against {
 pub struct Inspection<'a> {
     bracket: &'a Bracket,
     alignment: &'a Alignment,
+    /// The detector of its features is drawn.
+    mode: AlignMode,
     pyramids: Vec<GreyPyramid>,
     evidence: Vec<Evidence>,
     tables: Tables,
@@ -105,11 +110,11 @@ pub fn inspect<'a>(
     options: &AlignOptions,
     warnings: &[Warning],
 ) -> Result<Inspection<'a>> {
-    gathered(bracket, alignment, options, warnings, &grey_pyramid, &|_| true)
+    gathered(bracket, alignment, options, warnings, &grey_pyramid, &|_, _| true)
 }
 
 /// Like [`inspect`], with less memory and time: for drawings of at most half the size of large frames, and with features only
-/// of frames for which `wants_features` returns true.
+/// of frames for which `wants_features` returns true, by the detector of `options` only.
 ///
 /// # Errors
 /// Same as [`inspect`].
@@ -120,7 +125,8 @@ pub fn inspect_part<'a>(
     warnings: &[Warning],
     wants_features: &(dyn Fn(usize) -> bool + Sync),
 ) -> Result<Inspection<'a>> {
-    gathered(bracket, alignment, options, warnings, &searched_pyramid, wants_features)
+    let used = options.detector();
+    gathered(bracket, alignment, options, warnings, &searched_pyramid, &|i, by| *by == used && wants_features(i))
 }
 
 fn gathered<'a>(
@@ -129,34 +135,42 @@ fn gathered<'a>(
     options: &AlignOptions,
     warnings: &[Warning],
     pyramid: &(dyn Fn(&Frame) -> Result<GreyPyramid> + Sync),
-    wants_features: &(dyn Fn(usize) -> bool + Sync),
+    wants_features: &(dyn Fn(usize, &Detector) -> bool + Sync),
 ) -> Result<Inspection<'a>> {
     let pyramids = bracket.map_whole(pyramid).into_iter().collect::<Result<Vec<_>>>()?;
     let base = bracket.reference_index();
-    let features = map_at_once(pyramids.len(), bracket.detected_at_once(), |i| match wants_features(i) {
-        true => FrameFeatures::new(&pyramids[i], options),
-        false => FrameFeatures::none(&pyramids[i]),
+    let detected = |detector: Detector| -> (Vec<Detected>, f64) {
+        let start = Instant::now();
+        let features =
+            map_at_once(pyramids.len(), bracket.detected_at_once(), |i| match wants_features(i, &detector) {
+                true => FrameFeatures::new(&pyramids[i], &detector, options),
+                false => FrameFeatures::none(&pyramids[i]),
+            });
+        let matched = map_at_once(pyramids.len(), bracket.at_once(), |i| {
+            (i != base).then(|| matchings(&features[base], &features[i], options))
+        });
+        let both = features.into_iter().zip(matched).map(|(features, matchings)| Detected { features, matchings });
+        (both.collect(), start.elapsed().as_secs_f64())
+    };
+    let (sift, sift_s) = detected(Detector::Sift(options.sift.clone()));
+    let (surf, surf_s) = detected(Detector::Surf(options.surf.clone()));
+    let xor = map_at_once(pyramids.len(), bracket.at_once(), |i| {
+        let transform = alignment.placements[i].transform();
+        (i != base).then(|| xor_curves(&pyramids[base], &pyramids[i], transform, options))
     });
-    let against = map_at_once(pyramids.len(), bracket.at_once(), |i| {
-        (i != base).then(|| Against {
-            xor: xor_curves(&pyramids[base], &pyramids[i], alignment.placements[i].transform(), options),
-            matchings: matchings(&features[base], &features[i], options),
-        })
-    });
-    let evidence: Vec<Evidence> = features
-        .into_iter()
-        .zip(against)
-        .zip(&pyramids)
-        .map(|((features, against), pyramid)| Evidence {
+    let evidence: Vec<Evidence> = (pyramids.iter().zip(xor))
+        .zip(sift.into_iter().zip(surf))
+        .map(|((pyramid, xor), (sift, surf))| Evidence {
             bitmaps: FrameBitmaps::new(&pyramids[base], pyramid, options),
-            features,
-            against,
+            xor,
+            sift,
+            surf,
         })
         .collect();
     let mut report = Report::new(bracket, alignment, alignment.overlap);
     report.warnings = warnings.iter().map(WarningReport::from).collect();
-    let tables = Tables::new(report, &evidence, alignment);
-    Ok(Inspection { bracket, alignment, pyramids, evidence, tables })
+    let tables = Tables::new(report, &evidence, alignment, DetectorTimes { sift_s, surf_s });
+    Ok(Inspection { bracket, alignment, mode: options.mode, pyramids, evidence, tables })
 }
 
 impl Inspection<'_> {
@@ -168,7 +182,7 @@ impl Inspection<'_> {
     /// Returns the kinds of sheets of frame `i`.
     pub fn kinds(&self, i: usize) -> &'static [SheetKind] {
         let all = SheetKind::VARIANTS;
-        if self.evidence[i].against.is_some() { all } else { &all[..3] }
+        if self.evidence[i].xor.is_some() { all } else { &all[..3] }
     }
 
     /// Draws one sheet of frame `i`. Returns `None` if the frame has no such sheet.
@@ -176,33 +190,34 @@ impl Inspection<'_> {
     /// # Errors
     /// A message if a picture is too large for a PNG file.
     pub fn sheet(&self, i: usize, kind: SheetKind) -> std::result::Result<Option<Sheet>, String> {
-        let evidence = &self.evidence[i];
-        let against = evidence.against.as_ref();
+        let bitmaps = &self.evidence[i].bitmaps.bitmaps;
+        let is_reference = i == self.bracket.reference_index();
         let drawn = |drawing| Ok(Some(Sheet::Drawing(drawing)));
-        match (kind, against) {
-            (SheetKind::Threshold | SheetKind::Exclusion, _) => {
-                let bitmaps = &evidence.bitmaps.bitmaps;
+        match kind {
+            SheetKind::Threshold | SheetKind::Exclusion => {
                 let bitmap = if kind == SheetKind::Threshold { &bitmaps.threshold } else { &bitmaps.exclusion };
                 let size = (bitmap.width(), bitmap.height());
                 Ok(Some(Sheet::Bitmap(png_bits(size, |x, y| bitmap.get(x, y))?)))
             }
-            (SheetKind::Keypoints, _) => {
+            SheetKind::Keypoints => {
                 let photograph = Photograph::new(self.pyramids[i].largest(), DRAWN);
-                drawn(keypoints::draw(&self.title(i, "keypoints"), &photograph, &evidence.features)?)
+                drawn(keypoints::draw(&self.title(i, "keypoints"), &photograph, self.features(i))?)
             }
-            (SheetKind::Matches, Some(against)) => {
+            SheetKind::Matches => {
+                let Some(matching) = self.matching(i) else { return Ok(None) };
                 let [left, right] = [self.bracket.reference_index(), i]
                     .map(|k| (self.name(k), Photograph::new(self.pyramids[k].largest(), DRAWN_BESIDE)));
                 let title = self.title(i, "matches with the reference");
                 let both = [(left.0.as_str(), &left.1), (right.0.as_str(), &right.1)];
-                drawn(matches::draw(&title, both, &against.matchings[FeatureKind::Merged as usize])?)
+                drawn(matches::draw(&title, both, matching)?)
             }
-            (SheetKind::Xor, Some(against)) => {
+            SheetKind::Xor => {
+                let Some(xor) = self.xor(i) else { return Ok(None) };
                 let placed = self.alignment.placements[i].transform().is_some();
-                drawn(curves::draw(&self.title(i, "bitmaps against the reference's"), &against.xor, placed))
+                drawn(curves::draw(&self.title(i, "bitmaps against the reference's"), xor, placed))
             }
-            (SheetKind::Edges, Some(_)) => drawn(views::draw(&self.title(i, "edges"), &self.couple(i))?),
-            (SheetKind::Matches | SheetKind::Xor | SheetKind::Edges, None) => Ok(None),
+            SheetKind::Edges if is_reference => Ok(None),
+            SheetKind::Edges => drawn(views::draw(&self.title(i, "edges"), &self.couple(i))?),
         }
     }
 
@@ -211,19 +226,25 @@ impl Inspection<'_> {
         &self.evidence[i].bitmaps
     }
 
-    /// Returns the keypoints of frame `i`.
+    /// Returns what the detector of the alignment found in frame `i`.
+    fn detected(&self, i: usize) -> &Detected {
+        let evidence = &self.evidence[i];
+        if self.mode == AlignMode::Surf { &evidence.surf } else { &evidence.sift }
+    }
+
+    /// Returns the keypoints of frame `i`, of the detector of the alignment.
     pub fn features(&self, i: usize) -> &FrameFeatures {
-        &self.evidence[i].features
+        &self.detected(i).features
     }
 
     /// Returns the difference of the bitmaps of frame `i` and the reference, or `None` for the reference.
     pub fn xor(&self, i: usize) -> Option<&XorCurves> {
-        self.evidence[i].against.as_ref().map(|a| &a.xor)
+        self.evidence[i].xor.as_ref()
     }
 
     /// Returns the merged matches of frame `i` with the reference, or `None` for the reference.
     pub fn matching(&self, i: usize) -> Option<&Matching> {
-        self.evidence[i].against.as_ref().map(|a| &a.matchings[FeatureKind::Merged as usize])
+        self.detected(i).matchings.as_ref().map(|all| &all[FeatureKind::Merged as usize])
     }
 
     /// Returns frame `i` in grey with a width and height of at most `most`, and whether it was brightened to be visible.
@@ -237,7 +258,7 @@ impl Inspection<'_> {
     /// # Errors
     /// A message if the scratch file cannot be read.
     pub fn overlay(&self, i: usize, most: usize) -> std::result::Result<Option<Overlay>, String> {
-        if self.evidence[i].against.is_none() {
+        if i == self.bracket.reference_index() {
             return Ok(None);
         }
         overlay::of(&self.couple(i), most).map(Some)

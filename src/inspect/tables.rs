@@ -3,7 +3,7 @@
 //! In: the [`Report`] of an alignment and the evidence of each frame. Out: `tables.json`, with the version [`SCHEMA`]
 //! and units in its keys. Cost: negligible.
 
-use super::{Against, Evidence};
+use super::{Detected, Evidence};
 use crate::align::diagnostics::{Curve, FeatureKind, distance_px};
 use crate::align::grey::Percentile;
 use crate::align::{Alignment, Status, Transform};
@@ -37,6 +37,18 @@ pub struct Tables {
     pub outputs: Vec<String>,
     /// The warnings.
     pub warnings: Vec<WarningReport>,
+    /// The times of the detectors; not in the files, which have the same bytes every time.
+    #[serde(skip)]
+    pub times: DetectorTimes,
+}
+
+/// Elapsed time of each detector for the keypoints of all frames and their matches, in seconds.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DetectorTimes {
+    /// SIFT.
+    pub sift_s: f64,
+    /// SURF.
+    pub surf_s: f64,
 }
 
 /// The measurements of one frame.
@@ -49,8 +61,10 @@ pub struct FrameTable {
     pub relative_ev: f64,
     /// Its bitmaps.
     pub mtb: BitmapTable,
-    /// Its keypoints, and the motion found from them.
+    /// Its SIFT keypoints, and the motion found from them.
     pub features: FeatureTable,
+    /// Its SURF keypoints, and the motion found from them.
+    pub surf: FeatureTable,
 }
 
 /// The bitmaps of one frame.
@@ -99,9 +113,9 @@ impl From<&Curve> for Samples {
 /// The three kinds of keypoints.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FeatureTable {
-    /// SIFT on the photograph.
+    /// Of the photograph.
     pub plain: KindTable,
-    /// SIFT on its median threshold bitmap.
+    /// Of its median threshold bitmaps.
     pub mtb: KindTable,
     /// Both; points found twice are counted once.
     pub merged: KindTable,
@@ -151,16 +165,17 @@ const LEAST_INLIERS: usize = 10;
 
 impl Tables {
     /// Creates the tables from the `report`, and the `evidence` and placement of each of its frames.
-    pub(super) fn new(report: Report, evidence: &[Evidence], alignment: &Alignment) -> Self {
+    pub(super) fn new(report: Report, evidence: &[Evidence], alignment: &Alignment, times: DetectorTimes) -> Self {
         let size = (report.width_px, report.height_px);
         let reference = report.frames.iter().find(|f| f.alignment.status == Status::Reference);
         let exposure = reference.map_or(1.0, |f| f.relative_exposure);
-        let level = evidence.first().map_or(size, |f| f.features.size());
+        let level = evidence.first().map_or(size, |e| e.sift.features.size());
         let found = evidence.iter().zip(&alignment.placements);
         let frames = report.frames.into_iter().zip(found).map(|(report, (evidence, placement))| FrameTable {
             relative_ev: libm::log2(report.relative_exposure / exposure),
             mtb: bitmap_table(evidence),
-            features: feature_table(evidence, placement.transform().as_ref(), size),
+            features: feature_table(&evidence.sift, placement.transform().as_ref(), size),
+            surf: feature_table(&evidence.surf, placement.transform().as_ref(), size),
             report,
         });
         Tables {
@@ -174,6 +189,7 @@ impl Tables {
             frames: frames.collect(),
             outputs: Vec::new(),
             warnings: report.warnings,
+            times,
         }
     }
 
@@ -199,7 +215,7 @@ fn bitmap_table(evidence: &Evidence) -> BitmapTable {
         percentile: evidence.bitmaps.percentile,
         threshold_level: evidence.bitmaps.zone.threshold,
         excluded_share: evidence.bitmaps.excluded_share(),
-        xor: evidence.against.as_ref().map(|Against { xor, .. }| XorTable {
+        xor: evidence.xor.as_ref().map(|xor| XorTable {
             before_share: xor.before,
             after_share: xor.after,
             by_angle_deg: (&xor.by_angle).into(),
@@ -209,12 +225,12 @@ fn bitmap_table(evidence: &Evidence) -> BitmapTable {
     }
 }
 
-fn feature_table(evidence: &Evidence, warp: Option<&Transform>, size: (usize, usize)) -> FeatureTable {
-    let counts = evidence.features.counts();
+fn feature_table(detected: &Detected, warp: Option<&Transform>, size: (usize, usize)) -> FeatureTable {
+    let counts = detected.features.counts();
     let of = |kind: FeatureKind, keypoints| {
         let blank = KindTable { keypoints, matches: None, inliers: None, off_px: None, verdict: None };
-        let Some(against) = &evidence.against else { return blank };
-        let matching = &against.matchings[kind as usize];
+        let Some(matchings) = &detected.matchings else { return blank };
+        let matching = &matchings[kind as usize];
         let inliers = matching.inliers();
         let motion = matching.transform.filter(|_| inliers >= LEAST_INLIERS);
         let off_px = motion.zip(warp).map(|(own, place)| distance_px(&own, place, size));

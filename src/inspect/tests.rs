@@ -48,13 +48,15 @@ fn tables_contain_the_known_values() {
         let dark = &json["frames"][0];
         assert_eq!((&dark["relative_ev"], &dark["exposure_source"]), (&(-2.0).into(), &"given".into()));
         assert_eq!(dark["alignment"]["status"], "aligned");
-        for kind in ["plain", "mtb", "merged"] {
-            let of = &dark["features"][kind];
-            assert!(
-                of["keypoints"].as_u64() > of["matches"].as_u64() && of["matches"].as_u64() >= of["inliers"].as_u64()
-            );
+        for detected in [&dark["features"], &dark["surf"]] {
+            for kind in ["plain", "mtb", "merged"] {
+                let [keypoints, matches, inliers] =
+                    ["keypoints", "matches", "inliers"].map(|key| detected[kind][key].as_u64().unwrap());
+                assert!(keypoints > matches && matches >= inliers && inliers > 0, "{kind} {detected}");
+            }
+            assert_eq!(detected["merged"]["verdict"], "agrees");
         }
-        assert_eq!(dark["features"]["merged"]["verdict"], "agrees");
+        assert_ne!(dark["features"], dark["surf"]);
         let xor = &dark["mtb"]["xor"];
         assert!(xor["after_share"].as_f64() < xor["before_share"].as_f64());
         assert_eq!(
@@ -71,7 +73,7 @@ fn tables_contain_the_known_values() {
 fn the_text_has_every_table_and_a_row_for_each_photograph() {
     with_inspection(|inspection| {
         let text = inspection.tables().to_text();
-        for number in 1..=6 {
+        for number in 1..=8 {
             let from = text.find(&format!("Table {number}.")).unwrap_or_else(|| panic!("no table {number}:\n{text}"));
             let table: Vec<&str> = text[from..].lines().skip(1).take_while(|l| !l.is_empty()).collect();
             for name in ["dark <1>.png", "middle.png", "bright.png"] {

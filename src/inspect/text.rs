@@ -1,9 +1,9 @@
 //! The tables as text in columns.
 //!
-//! In: [`Tables`]. Out: `tables.txt`. Cost: none. Tables 2 to 4 are Tables 4.1 to 4.3 of the thesis, for any bracket: keypoints, matches and
-//! resulting motion, for the photograph, for its bitmap, and for both merged.
+//! In: [`Tables`]. Out: `tables.txt`. Cost: none. Tables 2 to 6 are Tables 4.1 to 4.3 of the thesis, for any bracket and for two
+//! detectors: keypoints, matches and resulting motion, for the photograph, for its bitmaps, and for both merged.
 
-use super::tables::{FrameTable, KindTable, MotionComparison, Tables};
+use super::tables::{FeatureTable, FrameTable, KindTable, MotionComparison, Tables};
 use crate::align::grey::Percentile;
 use crate::align::{Model, Status};
 use crate::bracket::exposure::ExposureSource;
@@ -35,31 +35,38 @@ impl Tables {
         };
         add("Table 1. Exposures", "", &["time", "f", "ISO", "EV to reference", "source"], &exposure_row);
         add(
-            "Table 2. Keypoints: plain SIFT, SIFT on the MTB, both merged",
-            "plain: photograph. MTB: its median threshold bitmap. merged: both, shared points counted once. gain: merged / plain.",
-            &["EV", "plain", "MTB", "merged", "gain"],
+            "Table 2. Keypoints of SIFT and of SURF",
+            "plain: photograph. MTB: its median threshold bitmaps. merged: both, shared points counted once. gain: merged / plain.",
+            &["EV", "SIFT: plain", "MTB", "merged", "gain", "SURF: plain", "MTB", "merged", "gain"],
             &keypoint_row,
         );
+        type Detected = (&'static str, fn(&FrameTable) -> &FeatureTable);
+        let detectors: [Detected; 2] = [("SIFT", |frame| &frame.features), ("SURF", |frame| &frame.surf)];
+        for (i, (name, detected)) in detectors.into_iter().enumerate() {
+            add(
+                &format!("Table {}. {name}: matches with the reference, and inliers among them", 3 + 2 * i),
+                "Matches are mutual and pass the ratio test. The alignment uses further methods.",
+                &["EV", "plain", "inliers", "MTB", "inliers", "merged", "inliers"],
+                &|frame| match_row(frame, detected(frame)),
+            );
+            add(
+                &format!(
+                    "Table {}. {name}: motion found from each kind of keypoint alone, compared with the alignment",
+                    4 + 2 * i
+                ),
+                "px: root mean square distance over the picture between this motion and the alignment.",
+                &["EV", "plain", "px", "MTB", "px", "merged", "px"],
+                &|frame| comparison_row(frame, detected(frame)),
+            );
+        }
         add(
-            "Table 3. Matches with the reference, and inliers among them",
-            "Matches are mutual and pass the ratio test. The alignment uses further methods.",
-            &["EV", "plain", "inliers", "MTB", "inliers", "merged", "inliers"],
-            &match_row,
-        );
-        add(
-            "Table 4. Motion found from each kind of keypoint alone, compared with the alignment",
-            "px: root mean square distance over the picture between this motion and the alignment.",
-            &["EV", "plain", "px", "MTB", "px", "merged", "px"],
-            &comparison_row,
-        );
-        add(
-            "Table 5. Alignment",
+            "Table 7. Alignment",
             "Shift of the picture centre and rotation, from reference to frame; positive: right, down, clockwise.",
             &["status", "model", "dx px", "dy px", "rotation deg", "error px", "confidence"],
             &place_row,
         );
         add(
-            "Table 6. Median threshold bitmaps",
+            "Table 8. Median threshold bitmaps",
             "XOR: of the pixels that count in both bitmaps, the percentage that differs, before and after alignment.",
             &["percentile", "threshold", "excluded %", "XOR before %", "XOR after %"],
             &bitmap_row,
@@ -134,18 +141,21 @@ fn exposure_row(frame: &FrameTable) -> Vec<String> {
 }
 
 fn keypoint_row(frame: &FrameTable) -> Vec<String> {
-    let [plain, mtb, merged] = frame.features.kinds().map(|k| k.keypoints);
-    let gain = if plain == 0 { NOTHING.to_owned() } else { format!("{:.1}", merged as f64 / plain as f64) };
-    vec![stops(frame.relative_ev), plain.to_string(), mtb.to_string(), merged.to_string(), gain]
+    let cells = |detected: &FeatureTable| {
+        let [plain, mtb, merged] = detected.kinds().map(|k| k.keypoints);
+        let gain = if plain == 0 { NOTHING.to_owned() } else { format!("{:.1}", merged as f64 / plain as f64) };
+        [plain.to_string(), mtb.to_string(), merged.to_string(), gain]
+    };
+    [stops(frame.relative_ev)].into_iter().chain(cells(&frame.features)).chain(cells(&frame.surf)).collect()
 }
 
-fn match_row(frame: &FrameTable) -> Vec<String> {
+fn match_row(frame: &FrameTable, detected: &FeatureTable) -> Vec<String> {
     let count = |n: Option<usize>| or_nothing(n, |n| n.to_string());
-    let cells = frame.features.kinds().into_iter().flat_map(|k| [count(k.matches), count(k.inliers)]);
+    let cells = detected.kinds().into_iter().flat_map(|k| [count(k.matches), count(k.inliers)]);
     [stops(frame.relative_ev)].into_iter().chain(cells).collect()
 }
 
-fn comparison_row(frame: &FrameTable) -> Vec<String> {
+fn comparison_row(frame: &FrameTable, detected: &FeatureTable) -> Vec<String> {
     let word = |v: MotionComparison| match v {
         MotionComparison::Agrees => "agrees".to_owned(),
         MotionComparison::Differs => "differs".to_owned(),
@@ -153,7 +163,7 @@ fn comparison_row(frame: &FrameTable) -> Vec<String> {
         MotionComparison::NoPlace => "no place".to_owned(),
     };
     let cells = |k: &KindTable| [or_nothing(k.verdict, word), or_nothing(k.off_px, |d| format!("{d:.2}"))];
-    [stops(frame.relative_ev)].into_iter().chain(frame.features.kinds().into_iter().flat_map(cells)).collect()
+    [stops(frame.relative_ev)].into_iter().chain(detected.kinds().into_iter().flat_map(cells)).collect()
 }
 
 /// Returns the status of a frame in words.

@@ -29,10 +29,15 @@ impl Detector {
     }
 
     /// The detector for bitmaps. A bitmap is not doubled: its only detail below a pixel is the staircase of its edges.
+    ///
+    /// SURF's boxes respond to these edges, too: its threshold is that for twice the contrast, and half as many keypoints
+    /// are found. The determinant grows with the square of the contrast.
     fn for_bitmaps(&self) -> Self {
         match self {
             Detector::Sift(options) => Detector::Sift(SiftOptions { double: false, ..options.clone() }),
-            Detector::Surf(options) => Detector::Surf(SurfOptions { double: false, ..options.clone() }),
+            Detector::Surf(options) => {
+                Detector::Surf(SurfOptions { double: false, contrast: 4.0 * options.contrast, ..options.clone() })
+            }
         }
     }
 }

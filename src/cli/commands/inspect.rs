@@ -53,6 +53,10 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
     if !work.quiet {
         summary::warn(&tables.warnings, &Terminal::of_stderr());
         crate::cli::say(tables.to_text().trim_end_matches('\n'));
+        crate::cli::say(format!(
+            "\nTime for keypoints and matches of all frames: SIFT {:.1} s, SURF {:.1} s",
+            tables.times.sift_s, tables.times.surf_s
+        ));
     }
     let paths = || tables.outputs.iter().map(|path| format!("{path}\n")).collect();
     crate::cli::tell(&if args.json { tables.to_json() } else { paths() })?;
