@@ -26,6 +26,14 @@ pub fn biweight(t: f64) -> f64 {
     inside * inside
 }
 
+/// Counter-based random generator: the finaliser of SplitMix64 (Steele, Lea & Flood 2014) of seed, trial and draw.
+pub fn random(seed: u64, trial: u64, draw: u64) -> u64 {
+    let mut z = seed ^ (trial << 16 | draw).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    z ^ (z >> 31)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -6,22 +6,29 @@
 //! not depend on gain and offset, searched within a few pixels.
 
 pub(crate) mod pattern;
+mod period;
 mod tile;
 mod tile_fit;
 
+pub(crate) use period::periods;
 pub(crate) use tile_fit::{TileFit, fit};
 
 use crate::align::agreement::pattern::Warped;
 use crate::align::agreement::tile::{Tile, check_tile};
 use crate::align::photometric::CommonExposure;
+use crate::align::transform::map;
 use crate::statistics::median;
 use nalgebra::Matrix3;
 use rayon::prelude::*;
+use std::sync::OnceLock;
 
 /// Tiles along the long side.
 const TILES: usize = 16;
 /// Least side of a tile, in pixels. A narrower picture has no tiles and cannot be checked.
 pub(crate) const LEAST_SIDE: usize = 8;
+/// Largest share of the tiles that did not move although the transform moves them and that are not counted: captions,
+/// watermarks, dust.
+const MOST_STILL: f64 = 1.0 / 3.0;
 /// Search range of a tile around its position, in pixels.
 const REACH: isize = 3;
 
@@ -103,16 +110,27 @@ pub fn check_tiles(both: &CommonExposure, h: &Matrix3<f64>) -> TileCheck {
     // In a strip longer than TILES squares, a tile spans the whole width.
     let side = width.max(height).div_ceil(TILES).min(width.min(height)).max(LEAST_SIDE);
     let (columns, rows) = (width / side, height / side);
-    let checked = |i| check_tile(both, &warped, i % columns * side, i / columns * side, side);
+    let plain = OnceLock::new();
+    let plain = || plain.get_or_init(|| Warped::new(&both.frame, &Matrix3::identity(), (width, height), 0));
+    let checked = |i| {
+        let place = (i % columns * side, i / columns * side);
+        let middle = |at: usize| (at + side / 2) as f64;
+        let (x, y) = (middle(place.0), middle(place.1));
+        let (u, v) = map(h, x, y);
+        let moves = (u - x) * (u - x) + (v - y) * (v - y) > (REACH * REACH) as f64;
+        check_tile(both, &warped, || moves.then(plain), place, side)
+    };
     let tiles: Vec<Tile> = (0..rows * columns).into_par_iter().map(checked).collect();
     let mut sum = Agreement::default();
     let mut displacements = Vec::new();
     let mut offsets = Vec::new();
     let mut parts = [false; 9];
+    let mut still = 0;
     for (i, tile) in tiles.iter().enumerate() {
         match *tile {
             Tile::Undecided => sum.undecided += 1,
             Tile::Disagrees { .. } => sum.disagreeing += 1,
+            Tile::Still { .. } => still += 1,
             Tile::Agrees { offset, peak, .. } => {
                 sum.agreeing += 1;
                 let middle = |at: usize| (at * side) as f64 + (side as f64 - 1.0) / 2.0;
@@ -121,6 +139,12 @@ pub fn check_tiles(both: &CommonExposure, h: &Matrix3<f64>) -> TileCheck {
                 offsets.push(offset);
             }
         }
+    }
+    // What does not move with the scene is the smaller part of the picture; otherwise the transform may be wrong.
+    if still as f64 <= MOST_STILL * (still + sum.agreeing + sum.disagreeing) as f64 {
+        sum.undecided += still;
+    } else {
+        sum.disagreeing += still;
     }
     sum.parts = parts.iter().filter(|&&p| p).count();
     sum.offset = median(offsets).map_or(0.0, f64::from);

@@ -12,8 +12,18 @@ use crate::align::photometric::CommonExposure;
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Tile {
     Undecided,
-    Agrees { offset: f32, correlation: f32, peak: Option<Peak> },
-    Disagrees { correlation: f32 },
+    Agrees {
+        offset: f32,
+        correlation: f32,
+        peak: Option<Peak>,
+    },
+    Disagrees {
+        correlation: f32,
+    },
+    /// Did not move although the transform moves it.
+    Still {
+        correlation: f32,
+    },
 }
 
 impl Tile {
@@ -21,7 +31,9 @@ impl Tile {
     pub(super) fn correlation(&self) -> Option<f32> {
         match *self {
             Tile::Undecided => None,
-            Tile::Agrees { correlation, .. } | Tile::Disagrees { correlation } => Some(correlation),
+            Tile::Agrees { correlation, .. } | Tile::Disagrees { correlation } | Tile::Still { correlation } => {
+                Some(correlation)
+            }
         }
     }
 }
@@ -74,7 +86,15 @@ impl Correlations<'_> {
 }
 
 /// Checks the tile of `side` x `side` pixels whose top-left pixel is (`left`, `top`).
-pub(super) fn check_tile(both: &CommonExposure, warped: &Warped, left: usize, top: usize, side: usize) -> Tile {
+///
+/// `unmoved` is the frame without any motion; none where the transform does not move the tile.
+pub(super) fn check_tile<'w>(
+    both: &CommonExposure,
+    warped: &Warped,
+    unmoved: impl Fn() -> Option<&'w Warped>,
+    (left, top): (usize, usize),
+    side: usize,
+) -> Tile {
     let Some(pattern) = Pattern::new(both, left, top, side) else { return Tile::Undecided };
     let mut correlations = Correlations { pattern: &pattern, warped, known: [[None; SPAN]; SPAN] };
     let here = correlations.at((0, 0));
@@ -93,6 +113,8 @@ pub(super) fn check_tile(both: &CommonExposure, warped: &Warped, left: usize, to
     if here < LEAST_CORRELATION || (away > 1.5 && best.0 > here + 0.05) {
         return if best.0 < LEAST_CORRELATION && pattern.is_faint() {
             Tile::Undecided
+        } else if unmoved().is_some_and(|unmoved| pattern.correlation(unmoved, (0, 0)) > best.0.max(LEAST_STILL)) {
+            Tile::Still { correlation: here }
         } else {
             Tile::Disagrees { correlation: here }
         };
@@ -107,6 +129,9 @@ pub(super) fn check_tile(both: &CommonExposure, warped: &Warped, left: usize, to
 
 /// Shifts from which the search for other maxima starts.
 const RIM: [Shift; 8] = [(-3, -3), (0, -3), (3, -3), (-3, 0), (3, 0), (-3, 3), (0, 3), (3, 3)];
+
+/// Least correlation of a tile that did not move.
+const LEAST_STILL: f32 = 0.7;
 
 /// Least correlation of an agreeing tile.
 const LEAST_CORRELATION: f32 = 0.4;

@@ -13,7 +13,6 @@
 pub(crate) mod bitmap;
 mod descent;
 mod difference;
-mod period;
 mod search;
 mod threshold;
 mod warp;
@@ -23,7 +22,6 @@ pub(crate) use bitmap::Zone;
 pub use bitmap::{Bitmap, ThresholdBitmaps};
 pub use difference::Difference;
 pub(crate) use difference::difference_shifted;
-pub(crate) use period::repeats;
 pub use search::search;
 pub(crate) use search::{BitmapPair, alternatives};
 pub(crate) use warp::{Motion, Rounding};

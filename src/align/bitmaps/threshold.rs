@@ -35,11 +35,6 @@ pub fn common_percentile(a: &Histogram, b: &Histogram, exclusion: u8) -> Percent
     Percentile::others().fold(Percentile::MEDIAN, better)
 }
 
-/// The percentile at which the bitmap of one frame has structure.
-pub fn own_percentile(histogram: &Histogram, exclusion: u8) -> Percentile {
-    common_percentile(histogram, histogram, exclusion)
-}
-
 /// The zones of two frames that cover the same ranks of their histograms.
 ///
 /// The zone that covers more ranks is `exclusion` grey values to either side of the percentile; the other consists of
@@ -128,10 +123,10 @@ mod tests {
     fn at_night_the_lamps_are_the_threshold() {
         let night =
             Histogram::of(&plane(100, 100, |x, y| if x < 93 { (y % 3) as u8 } else { 100 + 20 * (x as u8 - 93) }));
-        assert_eq!(own_percentile(&night, 4), Percentile::new(95));
+        assert_eq!(common_percentile(&night, &night, 4), Percentile::new(95));
         let snow =
             Histogram::of(&plane(100, 100, |x, y| if x < 93 { 255 - (y % 3) as u8 } else { 20 * (x as u8 - 93) }));
-        assert_eq!(own_percentile(&snow, 4), Percentile::new(5));
+        assert_eq!(common_percentile(&snow, &snow, 4), Percentile::new(5));
     }
 
     #[test]

@@ -62,8 +62,9 @@ impl Search<'_> {
         }
         let mut found = FeatureCounts::default();
         let mut is_corroborated = false;
-        let is_settled =
-            |candidates: &Candidates| !shared.repeats && candidates.best().is_some_and(|(_, c)| c.is_settled());
+        let is_settled = |candidates: &Candidates| {
+            shared.periods.is_empty() && candidates.best().is_some_and(|(_, c)| c.is_settled())
+        };
         if let (false, Some(reference)) = (is_settled(&candidates), &shared.features) {
             let own = self.features(i);
             found.keypoints = Some(own.counts);
@@ -79,8 +80,20 @@ impl Search<'_> {
                 }
             }
         }
+        // In a picture that repeats itself, a shift by a period may match as well.
+        if let Some((_, best)) = candidates.best().filter(|_| !shared.periods.is_empty()) {
+            let pair = targets[0].compare(frame, &best.transform);
+            let h = best.transform.matrix(width, height);
+            let shifts = shared.periods.iter().flat_map(|&(dx, dy)| [(dx, dy), (-dx, -dy)]);
+            let shifted = shifts.filter_map(|(dx, dy)| {
+                let shift = Transform::Rigid { dx, dy, angle: 0.0 }.matrix(width, height);
+                by_start(&pair, &Transform::Homography(h * shift), 0)
+            });
+            let shifted: Vec<Candidate> = shifted.collect();
+            shifted.into_iter().for_each(|candidate| candidates.add(0, Some(candidate)));
+        }
         // In a picture that repeats itself, features fail as easily as bitmaps.
-        if shared.repeats || !(is_settled(&candidates) || is_corroborated) {
+        if !shared.periods.is_empty() || !(is_settled(&candidates) || is_corroborated) {
             let start = candidates.best().map_or(Transform::Identity, |(_, c)| c.transform);
             let angle = start.rotation_deg(width, height).to_radians();
             for (b, target) in targets.iter().enumerate() {

@@ -20,6 +20,7 @@ mod starts;
 mod thresholds;
 
 use crate::align::AlignOptions;
+use crate::align::agreement;
 use crate::align::agreement::LEAST_SIDE;
 use crate::align::bitmaps;
 use crate::align::features;
@@ -74,8 +75,8 @@ enum FirstResult {
 struct ReferenceFeatures {
     /// Its features; none if every frame is settled.
     features: Option<FeatureSets>,
-    /// Whether the reference matches itself under a shift.
-    repeats: bool,
+    /// The shifts under which the reference matches itself ([`agreement::periods`]), in pixels.
+    periods: Vec<(f64, f64)>,
 }
 
 impl Search<'_> {
@@ -121,11 +122,11 @@ impl Search<'_> {
             self.leave_uniform_frames_unmoved(&mut placements);
             return (placements, counts);
         }
-        let repeats = bitmaps::repeats(self.reference_pyramid(), &self.options.mtb);
-        let first = map_at_once(self.pyramids.len(), self.compared_at_once, |i| self.first(i, repeats));
+        let periods = agreement::periods(self.reference_pyramid(), self.options.mtb.max_shift);
+        let first = map_at_once(self.pyramids.len(), self.compared_at_once, |i| self.first(i, !periods.is_empty()));
         let is_settled = |i: usize| i == self.reference || matches!(first[i], FirstResult::Settled(_));
         let features = (0..first.len()).any(|i| !is_settled(i)).then(|| self.features(self.reference));
-        let shared = ReferenceFeatures { features, repeats };
+        let shared = ReferenceFeatures { features, periods };
         // From the reference to the darker and to the brighter frames, so that the neighbour of an unsettled frame is
         // already placed.
         let orders: [Vec<usize>; 2] =

@@ -9,12 +9,13 @@
 
 use crate::align::agreement::TileDisplacement;
 use crate::align::grey::measured_level;
-use crate::align::local::matching;
 use crate::align::local::matching::Matches;
+use crate::align::local::{dominant, matching};
 use crate::align::refinement::FramePair;
 use crate::align::result::Displaced;
-use crate::align::transform::Transform;
+use crate::align::transform::{Transform, map, off_level, on_level};
 use crate::statistics::{biweight, median};
+use nalgebra::Matrix3;
 
 /// Rounds of reweighting.
 const ROUNDS: usize = 3;
@@ -26,6 +27,10 @@ const MEDIAN_SQUARE: f64 = 1.386;
 /// exceed it; matches of a noisy frame are maxima among many, and the errors of neighbours are correlated. Measured on
 /// rendered brackets.
 const SIGNIFICANT: f64 = 40.0;
+/// Least sharpness of a significant displacement in its direction, per pixel^2 of the level: the correlation of a softer
+/// patch falls by less than a hundredth within a pixel, which differences of the tones exceed. Measured on rendered brackets
+/// that are out of focus; half of it gives the same result.
+const LEAST_SHARPNESS: f64 = 0.02;
 /// Least share of the patches around a cell that must have a match.
 const LEAST_KNOWN: f64 = 0.25;
 /// Least share of the matches around a cell that agree with each other.
@@ -39,6 +44,12 @@ const DISPLACED_PX: f64 = 1.5;
 /// Least displaced share of the picture that counts in the root mean square: less is more likely due to things that moved
 /// than to depth.
 const LEAST_DISPLACED: f64 = 0.01;
+/// Least root mean square displacement for which a motion that fits more of the picture is searched, in pixels of the full
+/// size.
+const LEAST_MISFIT_PX: f64 = 0.15;
+/// Largest share of a picture that does not move with the scene and is not counted: with more, the transform may follow
+/// something that moved, and the rest be the scene.
+const MOST_STILL: f64 = 1.0 / 3.0;
 /// Displacement from which a cell is a reason to search farther, in pixels of the full size.
 const SUSPICIOUS_PX: f64 = 1.0;
 /// Share of such cells, and of those without a match, up to which nothing is searched farther.
@@ -57,24 +68,45 @@ struct Neighbourhood {
 const NEAR: Neighbourhood = Neighbourhood { radius: 1, overlap: 1.0 };
 const FAR: Neighbourhood = Neighbourhood { radius: 2, overlap: 4.0 };
 
-/// A cell of the field.
+/// A cell of the field. All lengths are in pixels of the level.
 #[derive(Debug, Clone, Copy)]
-struct Cell {
-    /// Its displacement, in pixels of the level: a detail at x in the reference is where the transform maps x + d.
-    displacement: [f64; 2],
-    /// Whether the displacement is greater than its error.
-    is_significant: bool,
+pub(super) struct Cell {
+    /// Its centre in the reference.
+    pub(super) centre: [f64; 2],
+    /// Its displacement: a detail at x in the reference is where the transform maps x + d.
+    pub(super) displacement: [f64; 2],
+    /// Inverse covariance of the displacement, [xx, xy, yy].
+    pub(super) precision: [f64; 3],
+    /// Negative second derivatives of the mean correlation of the matches around it, [xx, xy, yy].
+    sharpness: [f64; 3],
+    /// Whether most of the matches around it agree with each other.
+    agrees: bool,
 }
 
-/// The displacements of the cells of a picture.
+impl Cell {
+    /// Whether the displacement is greater than its error, and not that of an edge so soft that a difference of the tones
+    /// displaces it.
+    fn is_significant(&self) -> bool {
+        self.agrees
+            && square(self.precision, self.displacement) > SIGNIFICANT
+            && square(self.sharpness, self.displacement) > LEAST_SHARPNESS * square([1.0, 0.0, 1.0], self.displacement)
+    }
+}
+
+/// The displacements of the cells of a picture from a transform.
 #[derive(Debug, Clone)]
 pub(crate) struct LocalField {
-    /// Length of a pixel of the level, in pixels of the full size.
-    scale: f64,
+    /// The transform, in pixels of the level.
+    h: Matrix3<f64>,
+    /// The level on which the displacements were measured, and its size.
+    level: usize,
+    size: (usize, usize),
     /// Number of cells that each pixel counts in.
     overlap: f64,
-    /// The cells that are known.
+    /// The cells whose displacement is known.
     cells: Vec<Cell>,
+    /// Number of cells that did not move although the transform moves them.
+    still: usize,
 }
 
 /// How much of a picture a transform does not fit. All lengths are in pixels of the full size.
@@ -92,20 +124,52 @@ pub(crate) struct Misfit {
 impl LocalField {
     /// The field of displacements from `transform`.
     pub(crate) fn new(pair: &FramePair, transform: &Transform) -> Self {
-        let scale = (1u64 << measured_level(pair.reference())) as f64;
-        let near = matching::near(pair, transform);
-        let field = LocalField { scale, overlap: NEAR.overlap, cells: smoothed(&near, NEAR) };
-        let displaced = field.lengths_px().filter(|&px| px >= SUSPICIOUS_PX).count() + near.unmatched;
-        if displaced as f64 <= SUSPICIOUS * (field.cells.len() + near.unmatched) as f64 {
+        let level = measured_level(pair.reference());
+        let (width, height) = pair.size();
+        let h = on_level(&transform.matrix(width, height), level);
+        let size = pair.reference().size(level);
+        let near = matching::near(pair, &h);
+        let field =
+            LocalField { h, level, size, overlap: NEAR.overlap, cells: smoothed(&near, NEAR), still: near.still() };
+        let displaced = field.lengths_px().filter(|&px| px >= SUSPICIOUS_PX).count() + near.unmatched();
+        if displaced as f64 <= SUSPICIOUS * (field.cells.len() + near.unmatched()) as f64 {
             return field;
         }
-        LocalField { scale, overlap: FAR.overlap, cells: smoothed(&matching::far(pair, transform), FAR) }
+        let far = matching::far(pair, &h);
+        LocalField { overlap: FAR.overlap, cells: smoothed(&far, FAR), still: far.still(), ..field }
+    }
+
+    /// The same displacements from the transform of the [dominant motion](dominant), and its error estimate in pixels of
+    /// the full size; none if the present transform fits as much of the picture.
+    pub(crate) fn dominant(&self) -> Option<(Self, f64)> {
+        if self.cells.len() < LEAST_CELLS || self.misfit().rms_px < LEAST_MISFIT_PX {
+            return None;
+        }
+        let found = dominant::search(&self.cells, &self.h, self.size, self.scale(), self.overlap)?;
+        let back = found.h.try_inverse()? * self.h;
+        let moved = |cell: &Cell| {
+            let ([x, y], [dx, dy]) = (cell.centre, cell.displacement);
+            let (u, v) = map(&back, x + dx, y + dy);
+            Cell { displacement: [u - x, v - y], ..*cell }
+        };
+        let cells = self.cells.iter().map(moved).collect();
+        Some((LocalField { h: found.h, cells, ..*self }, self.scale() * found.error))
+    }
+
+    /// The transform from which the displacements are, in pixels of the full size.
+    pub(crate) fn transform(&self) -> Transform {
+        Transform::Homography(off_level(&self.h, self.level))
+    }
+
+    /// Length of a pixel of the level, in pixels of the full size.
+    fn scale(&self) -> f64 {
+        (1u64 << self.level) as f64
     }
 
     /// The lengths of the significant displacements, in pixels of the full size.
     fn lengths_px(&self) -> impl Iterator<Item = f64> {
-        let length = |&Cell { displacement: [x, y], .. }: &Cell| self.scale * (x * x + y * y).sqrt();
-        self.cells.iter().filter(|c| c.is_significant).map(length)
+        let length = |&Cell { displacement: [x, y], .. }: &Cell| self.scale() * (x * x + y * y).sqrt();
+        self.cells.iter().filter(|c| c.is_significant()).map(length)
     }
 
     /// How much of the picture is displaced; nothing if too few cells are known.
@@ -115,8 +179,11 @@ impl LocalField {
         }
         let lengths: Vec<f64> = self.lengths_px().collect();
         let displaced: Vec<f64> = lengths.iter().copied().filter(|&px| px >= DISPLACED_PX).collect();
-        let all = self.cells.len() as f64;
-        let fraction = displaced.len() as f64 / all;
+        // Captions, watermarks, dust and noise of the sensor do not move, but they are the smaller part of a picture.
+        let still =
+            if self.still as f64 <= MOST_STILL * (self.cells.len() + self.still) as f64 { 0 } else { self.still };
+        let all = (self.cells.len() + still) as f64;
+        let fraction = (displaced.len() + still) as f64 / all;
         let independent = (all / self.overlap).max(1.0);
         let most_px = if fraction < LEAST_DISPLACED { DISPLACED_PX } else { f64::INFINITY };
         let squares = lengths.iter().filter(|&&px| px < most_px).map(|px| px * px).sum::<f64>();
@@ -160,7 +227,7 @@ fn square(sharpness: [f64; 3], d: [f64; 2]) -> f64 {
 /// The cells: the weighted sums of the matches around each, reweighted by their distance from it.
 fn smoothed(matches: &Matches, neighbourhood: Neighbourhood) -> Vec<Cell> {
     let Neighbourhood { radius, overlap } = neighbourhood;
-    let known: Vec<Option<TileDisplacement>> = matches.all.iter().map(|m| m.and_then(|m| m.displacement)).collect();
+    let known: Vec<Option<TileDisplacement>> = matches.all.iter().map(|m| m.and_then(|m| m.displacement())).collect();
     let around = |i: usize| {
         let (column, row) = (i % matches.columns, i / matches.columns);
         let near = |at: usize, count: usize| at.saturating_sub(radius)..(at + radius + 1).min(count);
@@ -192,10 +259,13 @@ fn smoothed(matches: &Matches, neighbourhood: Neighbourhood) -> Vec<Cell> {
         if (all as f64) < LEAST_KNOWN * ((2 * radius + 1) * (2 * radius + 1)) as f64 {
             return None;
         }
-        let displacement = sums[i].peak();
-        let is_significant = agreeing as f64 >= LEAST_AGREEING * all as f64
-            && square(sums[i].sharpness, displacement) > overlap * SIGNIFICANT * variance;
-        Some(Cell { displacement, is_significant })
+        Some(Cell {
+            centre: matches.centre(i),
+            displacement: sums[i].peak(),
+            precision: sums[i].sharpness.map(|s| s / (overlap * variance)),
+            sharpness: sums[i].sharpness.map(|s| s / agreeing.max(1) as f64),
+            agrees: agreeing as f64 >= LEAST_AGREEING * all as f64,
+        })
     };
     known.iter().enumerate().filter_map(cell).collect()
 }

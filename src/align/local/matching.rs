@@ -9,9 +9,10 @@ use crate::align::agreement::TileDisplacement;
 use crate::align::agreement::pattern::{Pattern, Peak, Shift, Warped};
 use crate::align::grey::measured_level;
 use crate::align::refinement::FramePair;
-use crate::align::transform::{Transform, on_level};
+use crate::align::transform::{map, on_level};
 use nalgebra::Matrix3;
 use rayon::prelude::*;
+use std::sync::OnceLock;
 
 /// Side of a patch, in pixels of its level: 32 in a photograph of 1 megapixel.
 const SIDE: usize = 16;
@@ -32,32 +33,53 @@ const LEAST_CORRELATION: f32 = 0.5;
 pub(super) struct Match {
     /// Its whole shift, in pixels of the level.
     shift: Shift,
-    /// Its displacement; none if the correlations have no peak.
-    pub(super) displacement: Option<TileDisplacement>,
+    /// What it shows of the motion.
+    pub(super) found: Found,
+}
+
+impl Match {
+    /// Its displacement, if it moves with the scene.
+    pub(super) fn displacement(&self) -> Option<TileDisplacement> {
+        match self.found {
+            Found::Displacement(displacement) => Some(displacement),
+            Found::Still | Found::Nothing => None,
+        }
+    }
+}
+
+/// What the best match of a patch shows.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Found {
+    /// Its displacement from the position that the transform gives.
+    Displacement(TileDisplacement),
+    /// It did not move although the transform moves it: it belongs to the camera or to a caption, not to the scene.
+    Still,
+    /// It matches nowhere.
+    Nothing,
 }
 
 /// The matches of the patches of a level.
 pub(super) struct Matches {
     pub(super) columns: usize,
     pub(super) rows: usize,
+    /// Distance of the patches, in pixels.
+    step: usize,
     /// By rows; none where a patch has too little contrast or is outside the frame.
     pub(super) all: Vec<Option<Match>>,
-    /// Number of patches with contrast that match nowhere.
-    pub(super) unmatched: usize,
 }
 
-/// Matches all patches of the level on which agreement is measured, near the position that the transform gives.
-pub(super) fn near(pair: &FramePair, transform: &Transform) -> Matches {
-    let (width, height) = pair.size();
-    let h = transform.matrix(width, height);
-    let grid = Grid { level: measured_level(pair.reference()), step: STEPS.0, reach: COARSEST_REACH as usize };
-    Matches::none().finer(pair, &h, grid, &[])
+/// Matches all patches of the level on which agreement is measured, near the position that `h` gives, which is in pixels
+/// of that level.
+pub(super) fn near(pair: &FramePair, h: &Matrix3<f64>) -> Matches {
+    let level = measured_level(pair.reference());
+    let grid = Grid { level, step: STEPS.0, reach: COARSEST_REACH as usize };
+    Matches::none().finer(pair, h, grid, &[])
 }
 
-/// Matches all patches of the level on which agreement is measured, up to [`MOST_DISPLACEMENT`].
-pub(super) fn far(pair: &FramePair, transform: &Transform) -> Matches {
+/// Matches all patches of the level on which agreement is measured, up to [`MOST_DISPLACEMENT`] from the position that
+/// `h` gives, which is in pixels of that level.
+pub(super) fn far(pair: &FramePair, h: &Matrix3<f64>) -> Matches {
     let (width, height) = pair.size();
-    let h = transform.matrix(width, height);
     let measured = measured_level(pair.reference());
     let most = MOST_DISPLACEMENT * width.max(height) as f64;
     let last = pair.reference().len() - 1;
@@ -67,7 +89,7 @@ pub(super) fn far(pair: &FramePair, transform: &Transform) -> Matches {
     for level in (measured..=coarsest).rev() {
         let starts = if level == coarsest { &RIM[..] } else { &[] };
         let grid = Grid { level, step: STEPS.1, reach: reach(level).ceil() as usize + 1 };
-        found = found.finer(pair, &h, grid, starts);
+        found = found.finer(pair, &on_level(h, level - measured), grid, starts);
     }
     found
 }
@@ -81,7 +103,12 @@ struct Grid {
 
 impl Matches {
     fn none() -> Self {
-        Matches { columns: 0, rows: 0, all: Vec::new(), unmatched: 0 }
+        Matches { columns: 0, rows: 0, step: SIDE, all: Vec::new() }
+    }
+
+    /// The centre of patch `i`, in pixels of the level.
+    pub(super) fn centre(&self, i: usize) -> [f64; 2] {
+        [i % self.columns, i / self.columns].map(|at| (at * self.step) as f64 + (SIDE as f64 - 1.0) / 2.0)
     }
 
     /// The matches of `grid`, searched from (0, 0), from those of the next coarser level, and from `starts`.
@@ -91,19 +118,51 @@ impl Matches {
         let (width, height) = (both.reference.width(), both.reference.height());
         let count = |length: usize| (length + step).saturating_sub(SIDE) / step;
         let (columns, rows) = (count(width), count(height));
-        let warped = Warped::new(&both.frame, &on_level(h, level), (width, height), reach);
+        let warped = Warped::new(&both.frame, h, (width, height), reach);
+        let unmoved = OnceLock::new();
+        let unmoved = || unmoved.get_or_init(|| Warped::new(&both.frame, &Matrix3::identity(), (width, height), 1));
+        let back = h.try_inverse().unwrap_or_else(Matrix3::identity);
         let find = |i: usize| {
             let (column, row) = (i % columns, i / columns);
             let pattern = Pattern::new(both, column * step, row * step, SIDE)?;
             let mut correlations = Correlations { pattern: &pattern, warped: &warped, known: Vec::with_capacity(64) };
             let (best, shift) = correlations.search(self.candidates(column, row).iter().chain(starts))?;
-            let middle = |at: usize| (at * step) as f64 + (SIDE as f64 - 1.0) / 2.0;
+            let centre = [column, row].map(|at| (at * step) as f64 + (SIDE as f64 - 1.0) / 2.0);
             let peak = Peak::around(shift, |shift| correlations.at(shift)).filter(|_| best >= LEAST_CORRELATION);
-            Some(Match { shift, displacement: peak.map(|p| p.about([middle(column), middle(row)])) })
+            if shift == (0, 0) && best >= ENOUGH_CORRELATION {
+                return Some(Match {
+                    shift,
+                    found: peak.map_or(Found::Nothing, |p| Found::Displacement(p.about(centre))),
+                });
+            }
+            let is_still = || {
+                let (u, v) = map(&back, centre[0], centre[1]);
+                let away = [u - centre[0], v - centre[1]];
+                let is_here = (away[0] - shift.0 as f64).abs() <= 1.0 && (away[1] - shift.1 as f64).abs() <= 1.0;
+                let moves = away[0] * away[0] + away[1] * away[1] >= LEAST_MOTION * LEAST_MOTION;
+                let still =
+                    || AROUND.iter().chain([&(0, 0)]).map(|&s| pattern.correlation(unmoved(), s)).fold(-1.0, f32::max);
+                moves && (is_here && best >= LEAST_CORRELATION || is_better(still(), best))
+            };
+            let found = match peak {
+                _ if is_still() => Found::Still,
+                Some(peak) => Found::Displacement(peak.about(centre)),
+                None => Found::Nothing,
+            };
+            Some(Match { shift, found })
         };
         let all: Vec<Option<Match>> = (0..columns * rows).into_par_iter().map(find).collect();
-        let unmatched = all.iter().flatten().filter(|m| m.displacement.is_none()).count();
-        Matches { columns, rows, all, unmatched }
+        Matches { columns, rows, step, all }
+    }
+
+    /// Number of patches with contrast that match nowhere.
+    pub(super) fn unmatched(&self) -> usize {
+        self.all.iter().flatten().filter(|m| matches!(m.found, Found::Nothing)).count()
+    }
+
+    /// Number of patches that did not move although the transform moves them.
+    pub(super) fn still(&self) -> usize {
+        self.all.iter().flatten().filter(|m| matches!(m.found, Found::Still)).count()
     }
 
     /// The shifts of the patches around a patch of the next finer level, in pixels of that level.
@@ -117,6 +176,20 @@ impl Matches {
         shifts
     }
 }
+
+/// Whether a match with the correlation `other` is significantly better than one with the correlation `best`: patterns that
+/// repeat match nearly as well elsewhere.
+fn is_better(other: f32, best: f32) -> bool {
+    let unexplained = |c: f32| 1.0 - c.max(0.0) * c.max(0.0) + UNEXPLAINED;
+    other >= LEAST_CORRELATION && unexplained(other) < CLEARLY * unexplained(best)
+}
+
+/// Share of a patch's variance that noise leaves unexplained at its true position.
+const UNEXPLAINED: f32 = 0.05;
+/// Ratio of the unexplained variances below which a match is better than another.
+const CLEARLY: f32 = 0.8;
+/// Least motion, in pixels of the level, that distinguishes what moves with the scene from what does not.
+const LEAST_MOTION: f64 = 2.0;
 
 /// The correlations of a patch, each computed on first use.
 struct Correlations<'a> {
@@ -151,7 +224,7 @@ impl Correlations<'_> {
         }
         for &candidate in candidates {
             let found = self.climb(candidate);
-            if found.0 > best.0 {
+            if is_better(found.0, best.0) {
                 best = found;
             }
         }

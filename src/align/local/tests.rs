@@ -60,7 +60,7 @@ fn black_frame_has_no_misfit() {
 fn coarse_to_fine_finds_what_a_full_search_finds() {
     let (reference, frame) = pair_with_depth(320.0, 9.0, 1.5, &Transform::Identity);
     let pair = FramePair::new(&reference, &frame, &Transform::Identity);
-    let found = matching::far(&pair, &Transform::Identity);
+    let found = matching::far(&pair, &on_level(&Transform::Identity.matrix(SIZE.0, SIZE.1), 0));
     let both = pair.level(0);
     let h = on_level(&Transform::Identity.matrix(SIZE.0, SIZE.1), 0);
     let reach = 20;
@@ -70,7 +70,7 @@ fn coarse_to_fine_finds_what_a_full_search_finds() {
     for i in (0..found.all.len()).step_by(7) {
         let (x, y) = (i % found.columns * 8, i / found.columns * 8);
         let is_inner = x > 32 && y > 32 && x + 48 < SIZE.0 && y + 48 < SIZE.1;
-        let Some(displacement) = found.all[i].and_then(|m| m.displacement).filter(|_| is_inner) else { continue };
+        let Some(displacement) = found.all[i].and_then(|m| m.displacement()).filter(|_| is_inner) else { continue };
         let Some(pattern) = Pattern::new(both, x, y, 16) else { continue };
         let shifts = (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (dx, dy)));
         let best = shifts

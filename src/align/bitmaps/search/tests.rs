@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::align::bitmaps::MtbOptions;
-use crate::align::bitmaps::threshold::own_percentile;
+use crate::align::bitmaps::threshold::common_percentile;
 use crate::align::grey::GreyPyramid;
 use crate::align::scene::{Scene, Shot, photograph, rigid, shift, uniform};
 use crate::align::transform::Transform;
@@ -39,11 +39,11 @@ fn another_percentile_is_used_if_the_median_is_clipped_or_black() {
     let normal = histogram(&spread);
     let with = |end: u8| histogram(&[&spread[..], &[(end, 600)]].concat());
     let (burnt, black) = (with(255), with(0));
-    assert_eq!(own_percentile(&normal, 4), Percentile::MEDIAN);
+    assert_eq!(common_percentile(&normal, &normal, 4), Percentile::MEDIAN);
     // The threshold is off the end that most crowd at, and leaves some tenths of all on either side.
     let parts = |h: &Histogram, p: Percentile| (40..140).contains(&h.value_at(p)) && (15..=85).contains(&p.percent());
     for crowded in [&burnt, &black] {
-        let own = own_percentile(crowded, 4);
+        let own = common_percentile(crowded, crowded, 4);
         assert!(own != Percentile::MEDIAN && parts(crowded, own), "{own:?}");
         // Both frames of a pair must have structure, in either order.
         let common = common_percentile(&normal, crowded, 4);

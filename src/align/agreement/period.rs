@@ -1,0 +1,146 @@
+//! The periods of a picture that repeats itself, so that a frame matches it in more than one place.
+//!
+//! In: a grey pyramid. Out: the shifts under which the picture matches itself. Cost: nine patches of 32 x 32 pixels,
+//! correlated at every second shift within reach on a small level: some 10 ms. Source: normalised cross-correlation
+//! (Lewis 1995) of the picture with itself.
+//!
+//! The similarity under a shift falls with its length and stays low in a picture that does not repeat. In a facade it is
+//! high again at the period, and low at half of it.
+
+use crate::align::agreement::pattern::{Pattern, Shift, Warped};
+use crate::align::grey::{GreyPyramid, level_within};
+use crate::align::refinement::FramePair;
+use crate::align::transform::Transform;
+use crate::statistics::median;
+use nalgebra::Matrix3;
+use rayon::prelude::*;
+
+/// Most pixels of the level that is examined: fine enough for the joints between tiles.
+const PIXELS: usize = 200_000;
+/// Side of a patch, in pixels of the level.
+const SIDE: usize = 32;
+/// Patches along each side of the picture.
+const PATCHES: usize = 3;
+/// Fewest patches that are compared under a shift.
+const LEAST_PATCHES: usize = 6;
+/// Distance of the shifts that are compared, in pixels of the level, which is smoothed with a standard deviation of one.
+const STRIDE: isize = 2;
+/// Smallest period that is detected, in pixels of the level.
+const LEAST: isize = 6;
+/// Least similarity under a shift by a period.
+const ALIKE: f64 = 0.9;
+/// Largest ratio of the dissimilarity under a period to that under half of it.
+const NEARER: f64 = 0.5;
+/// Most periods that are returned, the most similar first.
+const MOST: usize = 6;
+
+/// The shifts, in pixels of the full size, under which `picture` matches itself; none if it does not repeat. Of a shift and
+/// its opposite only one is returned.
+///
+/// `max_shift` is the largest that is searched, as a share of the long side.
+pub(crate) fn periods(picture: &GreyPyramid, max_shift: f64) -> Vec<(f64, f64)> {
+    let level = level_within(picture, PIXELS);
+    let (width, height) = picture.size(level);
+    if width.min(height) < PATCHES * SIDE {
+        return Vec::new();
+    }
+    let pair = FramePair::new(picture, picture, &Transform::Identity);
+    let both = pair.level(level);
+    let warped = Warped::new(&both.frame, &Matrix3::identity(), (width, height), 0);
+    let patch = |i: usize| {
+        let place = |at: usize, length: usize| (2 * at + 1) * length / (2 * PATCHES) - SIDE / 2;
+        let (left, top) = (place(i % PATCHES, width), place(i / PATCHES, height));
+        Some(((left, top), Pattern::new(both, left, top, SIDE)?))
+    };
+    let patches: Vec<_> = (0..PATCHES * PATCHES).filter_map(patch).collect();
+    let similarity = |(dx, dy): Shift| {
+        let within =
+            |at: usize, shift: isize, length: usize| at.checked_add_signed(shift).is_some_and(|at| at + SIDE <= length);
+        let (mut alike, mut unlike) = (Vec::with_capacity(patches.len()), 0);
+        for ((left, top), pattern) in &patches {
+            // A patch near the border is compared in the opposite direction.
+            let is_inside = |&(dx, dy): &Shift| within(*left, dx, width) && within(*top, dy, height);
+            let Some(shift) = [(dx, dy), (-dx, -dy)].into_iter().find(is_inside) else { continue };
+            let correlation = pattern.correlation(&warped, shift);
+            alike.push(correlation);
+            unlike += usize::from(f64::from(correlation) < ALIKE);
+            // The median is below the limit, whatever the others are.
+            if 2 * unlike > patches.len() && alike.len() >= LEAST_PATCHES {
+                break;
+            }
+        }
+        if alike.len() < LEAST_PATCHES { f64::NAN } else { median(alike).map_or(f64::NAN, f64::from) }
+    };
+    let steps = (max_shift * width.max(height) as f64) as isize / STRIDE;
+    // Shifts by d and by -d give the same, so half of them suffice.
+    let side = 2 * steps + 1;
+    let all: Vec<f64> = (0..side * (steps + 1))
+        .into_par_iter()
+        .map(|i| similarity((STRIDE * (i % side - steps), STRIDE * (i / side))))
+        .collect();
+    let at = |x: isize, y: isize| {
+        let (x, y) = if y < 0 { (-x, -y) } else { (x, y) };
+        if x.abs() > steps || y > steps { f64::NAN } else { all[(y * side + x + steps) as usize] }
+    };
+    let is_period = |x: isize, y: isize| {
+        let here = at(x, y);
+        here >= ALIKE
+            && 1.0 - here < NEARER * (1.0 - at(x / 2, y / 2))
+            && (-1..=1).all(|j| (-1..=1).all(|i| !(here < at(x + i, y + j))))
+    };
+    let half_plane = (0..=steps).flat_map(|y| (-steps..=steps).map(move |x| (x, y)));
+    let mut found: Vec<(f64, Shift)> = half_plane
+        .filter(|&(x, y)| STRIDE * x.abs().max(y) >= LEAST && (y > 0 || x > 0) && is_period(x, y))
+        .map(|(x, y)| (at(x, y), (STRIDE * x, STRIDE * y)))
+        .collect();
+    found.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    let scale = (1u64 << level) as f64;
+    found.into_iter().take(MOST).map(|(_, (x, y))| (scale * x as f64, scale * y as f64)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::align::scene::{Scene, Shot, photograph};
+
+    const SIZE: (usize, usize) = (480, 320);
+    const REACH: f64 = 0.15;
+
+    fn taken(radiance: &(dyn Fn(f64, f64) -> f64 + Sync)) -> GreyPyramid {
+        GreyPyramid::new(photograph(SIZE, &Transform::Identity, Shot::at(0.0), radiance))
+    }
+
+    #[test]
+    fn a_facade_repeats_and_a_landscape_does_not() {
+        for seed in 1..6 {
+            let scene = Scene::new(seed);
+            assert_eq!(periods(&taken(&|x, y| scene.radiance(x, y)), REACH), [], "{seed}");
+            // A skyline looks much the same a little to the side, and more so the less it is shifted.
+            let skyline = |x: f64, y: f64| if y < 150.0 + 0.1 * x { 4.0 } else { 0.1 * scene.radiance(x, y) };
+            assert_eq!(periods(&taken(&skyline), REACH), [], "{seed}");
+            let facade = |x: f64, y: f64| {
+                let is_wall = x > 60.0;
+                if is_wall { scene.radiance(x.rem_euclid(34.0), y.rem_euclid(41.0)) } else { scene.radiance(x, y) }
+            };
+            let found = periods(&taken(&facade), REACH);
+            // Shifts of two pixels are compared.
+            let has = |dx: f64, dy: f64| found.iter().any(|(x, y)| (x - dx).abs() <= 2.0 && (y - dy).abs() <= 2.0);
+            assert!(has(34.0, 0.0) && has(0.0, 41.0), "{seed}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn tiles_with_thin_joints_repeat() {
+        let joint = |v: f64| (v - 0.1 * v.floor()).rem_euclid(27.0) < 2.0;
+        let tiles = |x: f64, y: f64| if joint(x + 0.05 * y) || joint(y - 0.05 * x) { 0.4 } else { 1.0 };
+        assert_ne!(periods(&taken(&tiles), REACH), []);
+    }
+
+    #[test]
+    fn uniform_picture_has_no_period() {
+        for (width, height) in [(1, 1), (3, 200), (300, 200)] {
+            let plain = GreyPyramid::new(crate::plane::Plane::filled(width, height, 77));
+            assert_eq!(periods(&plain, REACH), []);
+        }
+    }
+}
