@@ -42,7 +42,7 @@ pub fn read(path: &Path) -> Result<(RadianceMap, Metadata)> {
 pub struct Contents {
     /// The radiance.
     pub map: RadianceMap,
-    /// The metadata of its headers.
+    /// The metadata in the headers of the file.
     pub metadata: Metadata,
     /// Names of what the file contains in addition and is not read: `alpha`, `channel Z`, `layer left`.
     pub unread: Vec<String>,
@@ -51,7 +51,7 @@ pub struct Contents {
 }
 
 impl Contents {
-    /// Combines the radiance `pixels` and the `metadata` of its headers, including the primaries. Primaries that span
+    /// Combines the radiance `pixels` and the `metadata` of the headers, including the primaries. Primaries that span
     /// no colour space are replaced, with a note.
     fn new(pixels: Plane<[f32; 3]>, mut metadata: Metadata) -> Self {
         let mut notes = Vec::new();
@@ -118,8 +118,8 @@ pub fn check(path: &Path) -> Result<()> {
     Kind::of(path).map(|_| ())
 }
 
-/// Whether the file `path` is a radiance map, by its content; a TIFF within `limits` is one if it has floats or
-/// LogLuv.
+/// Whether the file `path` is a radiance map, by its content; a TIFF, which is read within `limits`, is a radiance map
+/// if it has floats or LogLuv.
 ///
 /// # Errors
 /// [`Error::Read`]; [`Error::Decode`] for a TIFF with a damaged directory.

@@ -1,11 +1,13 @@
-//! Writing of radiance maps and pictures: every output is written to a temporary file, and all are renamed when all are complete.
+//! Writing of radiance maps and pictures: every output is written to a temporary file, and all are renamed when all are
+//! complete.
 //!
-//! In: pixels by rows, in order, in portions of any size, and the [`Metadata`] for the headers. Out: files. A path that exists is a complete
-//! file; a failed run leaves nothing behind. Bands of 64 rows are encoded in parallel and written in order, so the bytes do not depend on
-//! the number of threads. Cost: see each format; the commit waits for the disk (fsync).
+//! In: pixels by rows, in order, in portions of any size, and the [`Metadata`] for the headers. Out: files. A path that
+//! exists is a complete file; a failed run leaves nothing behind. Bands of 64 rows are encoded in parallel and written
+//! in order, so the bytes do not depend on the number of threads. Cost: see each format; the commit waits for the disk
+//! (fsync).
 //!
-//! Each module uses only those before it: `deflate`, `staging`, `bands`, `metadata`, `row_writer`, `format`, `exif`, then the formats (`exr`, `hdr`,
-//! `tiff`, `png`, `jpeg`), `picture`, `aligned`, `files`.
+//! Each module uses only those before it: `deflate`, `staging`, `bands`, `metadata`, `row_writer`, `format`, `exif`,
+//! then the formats (`exr`, `hdr`, `tiff`, `png`, `jpeg`), `picture`, `aligned`, `files`.
 
 pub(crate) mod aligned;
 mod bands;

@@ -7,8 +7,8 @@
 //! (openexr.com); colour interop ids: ASWF Color Interop Forum, "Color Space Encodings" (2024).
 //!
 //! The block writer of the `exr` crate needs all blocks within one closure, which is not possible here because rows
-//! arrive from outside. Therefore the frame of the file (magic number, header, offset table) is assembled from parts
-//! of the crate, which encodes the header and all blocks except PIZ.
+//! arrive from outside. Therefore the structure of the file (magic number, header, offset table) is assembled from
+//! parts of the crate, which encodes the header and all blocks except PIZ.
 
 mod piz;
 mod sample;
