@@ -1,11 +1,14 @@
-//! Adjustments: white balance, brightness, contrast, saturation, shadows and highlights, with the same meaning for every operator.
+//! Adjustments: white balance, brightness, contrast, saturation, shadows and highlights, with the same meaning for
+//! every operator.
 //!
-//! In: [`Options`]. Out: the light that is shown as white (`white`, `neutral`), and [`Adjusted`], which changes the light of the picture. The radiance map
-//! is not changed. Cost: see [`Adjusted`]; none when nothing is adjusted.
+//! In: [`Options`]. Out: the light that is shown as white (`white`, `neutral`), and [`Adjusted`], which changes the
+//! light of the picture. The radiance map is not changed. Cost: see [`Adjusted`]; none when nothing is adjusted.
 //!
-//! White is balanced in linear light, before the operator. All other adjustments change the log odds of display luminance Y, t = log2(Y / (1 - Y)). In the
-//! dark these are stops, and black and white are never reached, so nothing clips. Shadows and highlights are added to t where the surroundings are dark or
-//! bright; then contrast sets the slope about the middle code value; then brightness is added. Saturation scales the chroma of OkLab.
+//! White is balanced in linear light, before the operator (for `mertens`: after the fusion). All other adjustments
+//! change the log odds of display luminance Y, t = log2(Y / (1 - Y)). In the dark these are stops, and black and white
+//! are never reached, so nothing clips. Shadows and highlights are added to t where the surroundings are dark or
+//! bright; then contrast sets the slope about the middle code value; then brightness is added. Saturation scales the
+//! chroma of OkLab.
 
 mod light;
 pub(crate) mod neutral;

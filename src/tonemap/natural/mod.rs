@@ -1,16 +1,19 @@
 //! hdralign's own operator: exposure fusion of exposures computed from the radiance.
 //!
-//! In: a scene. Out: its tones. Cost: about 2 us a cell, of which there are at most [`CELLS`], for ten exposures; three interpolations a pixel.
-//! Source: [exposure fusion](super::fusion) (Mertens et al. 2007) applied to computed exposures. Their number follows from the scene's highlights and the
-//! bracket's longest exposure; they are at most two stops apart and free of moving objects. Radiance maps from other programs are handled the same way.
+//! In: a scene. Out: its tones. Cost: about 2 us a cell, of which there are at most [`CELLS`], for ten exposures; three
+//! interpolations a pixel. Source: [exposure fusion](super::fusion) (Mertens et al. 2007) applied to computed
+//! exposures. Their number follows from the scene's highlights and the bracket's longest exposure; they are at most two
+//! stops apart (for up to 30 stops) and free of moving objects. Radiance maps from other programs are handled the same
+//! way.
 //!
-//! 1. The scene, on a grid, is exposed: from the exposure that shows its highlights to the longest of the bracket. The longest exposure that the
-//!    photographer chose shows how bright the place is, so that night scenes stay dark.
+//! 1. The scene, on a grid, is exposed: from the exposure that shows its highlights to the longest of the bracket. The
+//!    longest exposure that the photographer chose shows how bright the place is, so that night scenes stay dark.
 //! 2. The exposures are fused; black and white are set near the darkest and brightest values of the fused picture.
-//! 3. A contrast curve is applied. A power function darkens the picture where the longest exposure is dark, and brings radiance without photographs to
-//!    the brightness of a photograph.
-//! 4. Linear functions carry luminance from the grid to the pixels (`guide`). Colours are those of a photograph that shows the place at that
-//!    luminance. When nothing is known of the photographs, the hue is that of the scene and chroma is never increased.
+//! 3. A contrast curve is applied. A power function darkens the picture where the longest exposure is dark, and brings
+//!    radiance without photographs to the brightness of a photograph.
+//! 4. Linear functions carry luminance from the grid to the pixels (`guide`). Colours are those of a photograph that
+//!    shows the place at that luminance. When nothing is known of the photographs, the hue is that of the scene and
+//!    chroma is never increased.
 //!
 //! The constants below were chosen by eye and in blind comparisons on sixteen photographed brackets.
 
