@@ -1,6 +1,7 @@
 //! The command line: arguments to library options, progress, printing, exit codes.
 //!
-//! stdout carries results only: the paths written, or JSON with `--json`. Everything else goes to stderr.
+//! stdout carries results only: the paths written, JSON with `--json`, or the requested text (the brackets of a
+//! dry run, settings, help, completions, the man page). Everything else goes to stderr.
 
 mod arguments;
 mod commands;

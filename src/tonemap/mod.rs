@@ -1,9 +1,10 @@
 //! Tone mapping: radiance to a display-encoded picture.
 //!
-//! In: a [`RadianceMap`] in any unit and primaries, whole or row by row. Out: a [`DisplayImage`] (8-bit sRGB) or rows of [`codes`](display::codes).
-//! Each [`Operator`] implements one paper in one file. It analyses an `overview` of the whole scene, a grid of at most a million cells, and returns
-//! `tones`, which map the rows. Colour, gamut mapping and encoding are shared by all operators: see `tones`, [`display`] and
-//! [`codes`](display::codes). Cost: see each operator.
+//! In: a [`RadianceMap`] in any unit and primaries, whole or row by row. Out: a [`DisplayImage`] (8-bit sRGB) or rows
+//! of [`codes`](display::codes). Each [`Operator`] implements a published operator in a file of [`operators`], or is
+//! [`natural`]. It analyses an `overview` of the whole scene, a grid of at most a million cells, and returns `tones`,
+//! which map the rows. All operators share gamut mapping and encoding, and all but `natural` the treatment of colour:
+//! see `tones`, [`display`] and [`codes`](display::codes). Cost: see each operator.
 
 pub mod adjust;
 pub mod display;
@@ -174,9 +175,10 @@ impl Rendering {
 
 /// Tone-maps `radiance` with `operator`.
 ///
-/// `photographed` describes the photographs that the radiance was merged from, if they are known. The [settings](Operator::settings) of the operator
-/// must be within their ranges. Scaling the radiance by a factor does not change the picture, unless a setting fixes the scale or the radiance is
-/// uniform.
+/// `photographed` describes the photographs that the radiance was merged from, if they are known. The
+/// [settings](Operator::settings) of the operator must be within their ranges. A factor on the radiance does not change
+/// the picture, unless a setting fixes the scale, the radiance is uniform, or the radiances in `photographed`, which
+/// [`natural`] uses, are not multiplied by the same factor.
 pub fn tonemap(radiance: &RadianceMap, photographed: Option<Photographed>, operator: &Operator) -> DisplayImage {
     let pixels = &radiance.pixels;
     let mut overview = Overview::new((pixels.width(), pixels.height()), &radiance.primaries).photographed(photographed);
