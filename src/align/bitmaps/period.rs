@@ -3,7 +3,7 @@
 //! In: a grey pyramid. Out: whether the picture repeats. Cost: a few milliseconds: one packed comparison for every
 //! shift within reach, on a small level. Source: Ward's bitmaps (2003), applied to the picture and itself. In a picture
 //! that does not repeat, about half of the pixels differ under a shift, and fewer the smaller the shift is. In a facade
-//! hardly any pixel differs under a shift by its period, and many differ under half of it.
+//! hardly any pixel differs under a shift by its period, and many differ under a shift by half a period.
 
 use crate::align::bitmaps::difference::difference_shifted;
 use crate::align::bitmaps::threshold::own_percentile;
@@ -13,11 +13,12 @@ use rayon::prelude::*;
 
 /// The short side of the level examined is less than this, in pixels: fine enough for the windows of a facade.
 const SIDE: usize = 256;
-/// Largest ratio of the differing pixels under a shift by a period to those under half of it.
+/// Largest ratio of the share of pixels that differ under a shift by a period to the share under half that shift.
 const ALIKE: f64 = 0.6;
 /// Smallest period that is detected, in pixels of the level.
 const LEAST: i64 = 5;
-/// Least share of pixels that differ under half a period; with fewer the picture is uniform rather than periodic.
+/// Least share of pixels that differ under a shift by half a period; with a smaller share the picture is uniform rather
+/// than periodic.
 const LEAST_DIFFERENCE: f64 = 0.03;
 
 /// Whether `picture` matches itself under a shift of more than a few pixels and at most the largest shift of
@@ -32,7 +33,7 @@ pub(crate) fn repeats(picture: &GreyPyramid, options: &MtbOptions) -> bool {
         options.exclusion,
     );
     let reach = (options.max_shift * plane.width().max(plane.height()) as f64) as i64;
-    // Shifts by d and by -d compare the same pairs of pixels, so half of them suffice.
+    // Shifts by d and by -d compare the same pairs of pixels, so half of all shifts suffice.
     let side = (2 * reach + 1) as usize;
     let rate = |dx: i64, dy: i64| difference_shifted(&bitmaps, &bitmaps, dx, dy).rate();
     let rates: Vec<f64> = (0..side * (reach as usize + 1))
@@ -69,7 +70,7 @@ mod tests {
                 GreyPyramid::new(photograph(SIZE, &Transform::Identity, Shot::at(0.0), radiance))
             };
             assert!(!repeats(&taken(&|x, y| scene.radiance(x, y)), &MtbOptions::default()), "{seed}");
-            // A skyline looks much the same a little to the side, and more so the less it is shifted.
+            // A skyline differs little from itself under a small horizontal shift, and less the smaller the shift is.
             assert!(
                 !repeats(
                     &taken(&|x, y| if y < 150.0 + 0.1 * x { 4.0 } else { 0.1 * scene.radiance(x, y) }),
