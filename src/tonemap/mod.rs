@@ -64,12 +64,12 @@ impl Default for Operator {
 }
 
 impl Operator {
-    /// The name used on the command line and in reports.
+    /// Returns the name used on the command line and in reports.
     pub fn name(&self) -> &'static str {
         self.into()
     }
 
-    /// The settings of this operator.
+    /// Returns the settings of this operator.
     pub fn settings(&mut self) -> Vec<Setting<'_>> {
         match self {
             Operator::Natural(options) => options.settings(),
@@ -139,7 +139,7 @@ impl Rendering {
         toned.chain([fused]).collect()
     }
 
-    /// The name used on the command line and in reports.
+    /// Returns the name used on the command line and in reports.
     pub fn name(&self) -> &'static str {
         match self {
             Rendering::Toned(operator) => operator.name(),
@@ -147,7 +147,7 @@ impl Rendering {
         }
     }
 
-    /// The settings of this rendering.
+    /// Returns the settings of this rendering.
     pub fn settings(&mut self) -> Vec<Setting<'_>> {
         match self {
             Rendering::Toned(operator) => operator.settings(),
@@ -219,7 +219,8 @@ mod tests {
         }
     }
 
-    /// Radiance 1 gives the middle code value; 4.7 and above gives white (1 / 0.2159 = 4.63); the smallest code value above 0 is at 0.00014 / 0.2159.
+    /// By hand: radiance 1 has the middle code value, which is 0.2159 of display white. So white begins at 1 / 0.2159 =
+    /// 4.63, and code value 1 at 0.00015 / 0.2159 = 0.0007.
     #[test]
     fn uniform_scene_keeps_the_colour_of_the_photographs() {
         for operator in Operator::iter() {

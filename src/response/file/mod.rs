@@ -102,7 +102,7 @@ impl Loss {
     }
 }
 
-/// Loss that is not reported, in stops: curves of two brackets of one camera differ as much.
+/// Largest loss without a warning, in stops: curves recovered from two brackets of one camera differ by as much.
 const LOSS: f64 = 0.01;
 
 /// A curve and its camera.
@@ -175,7 +175,7 @@ impl SavedResponse {
             Format::Json => Ok(Encoded { text: self.to_json(), curve: self.curve.clone() }),
             Format::Csv => {
                 let text = csv::write(&self.curve);
-                // A billionth of white or less is 0 in nine decimals.
+                // Exposures below half a billionth of white are 0 in nine decimals.
                 let steep = |_| refused("the curve is too steep for the nine decimals of this format");
                 let curve = csv::read(&text).map_err(steep)?;
                 Ok(Encoded { text, curve })
@@ -245,7 +245,7 @@ mod tests {
 
     fn saved() -> SavedResponse {
         let srgb = *ResponseCurve::srgb().ln_exposure(0);
-        // Digits that no short decimal has.
+        // Numbers that no short decimal represents.
         let mean = (1.0 / 3.0 + 1.0 / 7.0) / 3.0;
         let g = [0.0, 1.0 / 3.0, 1.0 / 7.0].map(|d| srgb.map(|v| v * (1.0 + d / 100.0) + d - mean));
         SavedResponse {

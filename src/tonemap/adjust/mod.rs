@@ -46,7 +46,7 @@ const MOST_STOPS: f64 = 5.0;
 const MOST: f64 = 100.0;
 
 impl Options {
-    /// Option, value and largest absolute value of each numeric adjustment.
+    /// Returns option, value and largest absolute value of each numeric adjustment.
     fn numbers(&self) -> [(&'static str, f64, f64); 5] {
         [
             ("--brightness", self.brightness, MOST_STOPS),
@@ -85,7 +85,7 @@ impl Options {
         }
     }
 
-    /// The first option that differs from its default; `None` when nothing is adjusted.
+    /// Returns the first option that differs from its default; `None` when nothing is adjusted.
     pub fn asked(&self) -> Option<&'static str> {
         let white = (self.white_balance != WhiteBalance::AsShot).then_some(white::OPTION);
         white.or_else(|| self.numbers().into_iter().find(|(_, value, _)| *value != 0.0).map(|(option, ..)| option))
