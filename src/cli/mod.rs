@@ -66,11 +66,10 @@ Exit codes:
   0  done
   1  failed, nothing written
   2  wrong usage
-  3  with --strict: written, but degraded: a frame could not be aligned, its transform was assumed or
-     is uncertain, the frames overlap by less than half, or an exposure or the response was estimated
-     or contradicts the pixels
+  3  with --strict: written, but degraded; `hdralign merge --help` lists the reasons at --strict
   compare: 0 same, 1 different, 2 error
-  batch: 0 all brackets done, 1 none done, 3 only some done (or, with --strict, a degraded result)
+  batch: 0 all brackets done, 1 none done, 3 some done, or a file could not be read or written
+         (with --strict also: a result is degraded)
 
 Examples:
   hdralign merge IMG_0001.JPG IMG_0002.JPG IMG_0003.JPG

@@ -66,7 +66,7 @@ pub struct Merging {
     #[arg(long, hide_short_help = true, value_name = "X", allow_negative_numbers = true)]
     calibration_factor: Option<f64>,
 
-    /// Keep the GPS position of the reference frame in the results
+    /// Keep the GPS position of the reference frame in pictures; radiance files never have it
     #[arg(long, help_heading = OUTPUT, hide_short_help = true)]
     keep_gps: bool,
 }

@@ -13,7 +13,7 @@ pub enum Sample {
     /// Half floats, or floats if the range or precision of halves is not enough for the radiance.
     #[default]
     Auto,
-    /// 16 bits; relative steps of 1/2048 or finer, values up to 65504.
+    /// 16 bits: values up to 65504, rounded by at most 1/2048 of the value (from 6e-5 up).
     Half,
     /// 32 bits: exactly as merged.
     Float,

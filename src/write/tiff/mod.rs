@@ -35,7 +35,7 @@ pub enum Encoding {
     /// LogLuv of 24 bits: 16 stops in steps of 1.1 %.
     #[strum(serialize = "logluv24")]
     LogLuv24,
-    /// LogLuv of 32 bits: 126 stops in steps of 0.27 %.
+    /// LogLuv of 32 bits: 128 stops in steps of 0.27 %.
     #[strum(serialize = "logluv32")]
     LogLuv32,
 }
