@@ -82,7 +82,7 @@ Examples:
   hdralign compare golden/room.exr room.exr";
 
 impl Command {
-    /// The name on the command line.
+    /// Returns the name of the command on the command line.
     fn name(&self) -> &'static str {
         match self {
             Command::Merge(_) => "merge",
@@ -133,13 +133,13 @@ fn run_command() -> ExitCode {
     ended(name, outcome)
 }
 
-/// The exit code of the command `name`; an error is printed.
+/// Returns the exit code of the command `name`; prints the error if it failed.
 fn ended(name: &str, outcome: Result<ExitCode, Error>) -> ExitCode {
     match outcome {
         Ok(code) => code,
         Err(error) => {
             process::interrupt::give_way();
-            // The library does not know the commands.
+            // The library does not know the name of the command, so the example is added here.
             let example = match error {
                 Error::TooFewFrames { .. } => format!(", as in `hdralign {name} IMG_1.jpg IMG_2.jpg IMG_3.jpg`"),
                 _ => String::new(),
@@ -154,7 +154,7 @@ fn ended(name: &str, outcome: Result<ExitCode, Error>) -> ExitCode {
     }
 }
 
-/// Prints the help or the version on stdout, or an error of the arguments on stderr.
+/// Prints the help or the version on stdout, or an error of the arguments on stderr, and returns the exit code.
 fn answer(asked: &clap::Error) -> ExitCode {
     let printed = asked.print().and_then(|()| std::io::stdout().flush());
     match printed.map_or_else(lost, Ok) {
@@ -182,7 +182,7 @@ fn finish(report: &Report, options: &Results) -> Result<ExitCode, Error> {
     Ok(exit_code(options.work.strict && report.is_degraded()))
 }
 
-/// 3 if `degraded`, else 0.
+/// Returns exit code 3 if `degraded`, otherwise 0.
 fn exit_code(degraded: bool) -> ExitCode {
     if degraded { ExitCode::from(3) } else { ExitCode::SUCCESS }
 }

@@ -1,7 +1,7 @@
 //! Errors of the arguments: with likely suggestions only, and the usage of the command.
 //!
-//! In: the error of clap. Out: the same without misleading parts: clap suggests `--response` for `--resize`, and shows the usage of the option that it
-//! suggests. Cost: none.
+//! In: the error of clap. Out: the error without misleading parts: clap suggests `--response` for `--resize`, and shows
+//! the usage of the option that it suggests. Cost: none.
 
 use clap::Command;
 use clap::error::{ContextKind, ContextValue, Error};

@@ -8,7 +8,7 @@ use strum::{EnumMessage, IntoEnumIterator};
 /// A value, its name, and a sentence that describes it.
 pub type Named<T> = (T, &'static str, &'static str);
 
-/// Accepts one of several named values.
+/// A parser of arguments that accepts one of several named values.
 #[derive(Clone)]
 pub struct Choice<T>(Vec<Named<T>>);
 
@@ -24,7 +24,7 @@ impl<T> Choice<T> {
     }
 }
 
-/// `value` with its name and its documentation.
+/// Returns `value` with its name and its documentation.
 pub fn named<T: EnumMessage>(value: T) -> Named<T>
 where
     for<'a> &'static str: From<&'a T>,
@@ -33,7 +33,7 @@ where
     (value, name, about)
 }
 
-/// Accepts every value of `T`.
+/// Returns a parser that accepts every value of `T` by its name.
 pub fn choice<T>() -> Choice<T>
 where
     T: IntoEnumIterator + EnumMessage,

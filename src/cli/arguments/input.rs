@@ -87,12 +87,12 @@ pub struct Largest {
 }
 
 impl Largest {
-    /// The limit in pixels, if it was given.
+    /// Returns the limit in pixels if the user gave it.
     pub fn given(&self) -> Option<u64> {
         self.max_pixels
     }
 
-    /// The limit in pixels, as given or by default.
+    /// Returns the limit in pixels: as given, or the default.
     pub fn pixels(&self) -> u64 {
         self.max_pixels.unwrap_or(Limits::MAX_PIXELS)
     }
@@ -112,14 +112,14 @@ pub struct Reading {
 }
 
 impl Reading {
-    /// The limits of the library.
+    /// Returns the limits of the library for these arguments.
     pub fn limits(&self) -> Limits {
         let memory = allowed(self.max_memory).map(|bytes| bytes.saturating_sub(MemoryLimit::PROGRAM));
         Limits { max_pixels: self.largest.pixels(), memory }
     }
 }
 
-/// The memory limit in bytes: as `given`, or three quarters of the free memory if that is known.
+/// Returns the memory limit in bytes: as `given`, or three quarters of the free memory; `None` if that is not known.
 fn allowed(given: Option<u64>) -> Option<u64> {
     given.or_else(|| Some(memory::free()? / 4 * 3))
 }
@@ -192,13 +192,14 @@ pub struct Results {
     pub work: Work,
 }
 
-/// The file of the report. `-` means standard output in other programs, so it is rejected with the right option.
+/// Parses the file of the report. `-` means standard output in other programs, so it is rejected with a message that
+/// names the right option.
 fn report_file(path: PathBuf) -> Result<PathBuf, &'static str> {
     if path.as_os_str() == "-" { Err("give --json for the report on standard output") } else { Ok(path) }
 }
 
 impl Method {
-    /// Returns the library's options for these arguments; options without an argument have their defaults.
+    /// Returns the options of the library for these arguments; options without an argument have their defaults.
     pub fn options(&self) -> Options {
         Options {
             load: LoadOptions { ev: self.ev.clone(), ..LoadOptions::default() },
@@ -214,14 +215,14 @@ impl Method {
 }
 
 impl Work {
-    /// The memory limit. What does not fit is kept in `folder`, or in that of `--scratch`.
+    /// Returns the memory limit. Data that do not fit are kept in the folder of `--scratch`, or else in `folder`.
     pub fn memory(&self, folder: impl FnOnce() -> PathBuf) -> Option<MemoryLimit> {
         Some(MemoryLimit { bytes: allowed(self.max_memory)?, folder: self.scratch.clone().unwrap_or_else(folder) })
     }
 }
 
 impl Aligned {
-    /// The library's options for these arguments and `work`; all others have their defaults.
+    /// Returns the options of the library for these arguments and `work`; all others have their defaults.
     pub fn options(&self, work: &Work) -> Options {
         let options = self.method.options();
         Options {
@@ -238,7 +239,7 @@ impl Aligned {
         }
     }
 
-    /// What the user set for single frames.
+    /// Returns the frames that the user excluded or marked as unmoved.
     fn given(&self) -> Vec<Preset> {
         let all = |paths: &[PathBuf], place: PresetTransform| {
             paths.iter().map(|p| Preset { path: p.clone(), place: place.clone() }).collect::<Vec<_>>()
@@ -246,7 +247,7 @@ impl Aligned {
         [all(&self.leave_out, PresetTransform::Excluded), all(&self.unmoved, PresetTransform::Unmoved)].concat()
     }
 
-    /// The reference frame: a number, unless a photograph has this name.
+    /// Returns the choice of the reference frame. A number is a position, unless it is also the path of a photograph.
     fn reference(&self) -> ReferenceChoice {
         match &self.reference {
             None if self.leave_out.is_empty() => ReferenceChoice::Auto,
@@ -262,12 +263,12 @@ impl Aligned {
 }
 
 impl Results {
-    /// The file for the report.
+    /// Returns the file for the report.
     pub fn report(&self) -> Option<&Path> {
         self.report.as_deref()
     }
 
-    /// The library's options for these arguments; all others have their defaults.
+    /// Returns the options of the library for these arguments and `common`; all others have their defaults.
     pub fn options(&self, common: &Common) -> Options {
         Options {
             crop: self.cut.crop,

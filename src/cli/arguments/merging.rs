@@ -72,7 +72,7 @@ pub struct Merging {
 }
 
 impl Merging {
-    /// `options`, changed by these arguments.
+    /// Returns `options` with the values of these arguments.
     pub fn options(&self, options: Options) -> Result<Options, Error> {
         Ok(Options {
             load: LoadOptions { keep_gps: self.keep_gps, ..options.load },

@@ -30,7 +30,7 @@ pub struct Picture {
 }
 
 impl Picture {
-    /// The options of the library.
+    /// Returns the options of the library for these arguments.
     pub fn options(&self) -> picture::Options {
         picture::Options {
             depth: self.bit_depth,

@@ -43,11 +43,12 @@ pub struct Radiance {
     gain_map: Resolution,
 }
 
-/// A colour space that radiance is converted to, if any. A type of its own, because clap treats an `Option` as an optional argument.
+/// The colour space that radiance is converted to; `None` for no conversion. It is a separate type, because clap treats
+/// an `Option` as an optional argument.
 #[derive(Debug, Clone)]
 struct Target(Option<Space>);
 
-/// No conversion.
+/// The value of `--colour` for no conversion.
 const KEEP: &str = "keep";
 
 fn spaces() -> Choice<Target> {
@@ -57,12 +58,12 @@ fn spaces() -> Choice<Target> {
 }
 
 impl Radiance {
-    /// The space that radiance is converted to, if any.
+    /// Returns the colour space that radiance is converted to; `None` for no conversion.
     pub fn colour(&self) -> Option<Space> {
         self.colour.0
     }
 
-    /// How files are encoded; `overwrite` replaces existing files.
+    /// Returns the encodings of the files; with `overwrite` existing files are replaced.
     pub fn write(&self, overwrite: bool) -> write::Options {
         write::Options {
             overwrite,

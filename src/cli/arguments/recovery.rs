@@ -25,7 +25,7 @@ pub struct Recovery {
 }
 
 impl Recovery {
-    /// The model, with the degree given.
+    /// Returns the model of the response, with the given degree if it is a polynomial.
     pub fn model(&self) -> Result<ResponseModel, Error> {
         match (&self.response_model, self.response_degree) {
             (model, None) => Ok(model.clone()),

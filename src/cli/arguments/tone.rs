@@ -28,7 +28,8 @@ fn renderings() -> Choice<Rendering> {
 }
 
 impl Tone {
-    /// The operator with its parameters, for commands that have radiance only.
+    /// Returns the operator with its parameters, for commands that have only radiance; an error for exposure fusion,
+    /// which needs frames.
     pub fn operator(&self) -> Result<Operator, Error> {
         match self.rendering()? {
             Rendering::Toned(operator) => Ok(operator),
@@ -39,7 +40,7 @@ impl Tone {
         }
     }
 
-    /// The rendering with its parameters.
+    /// Returns the operator or fusion method with its parameters.
     pub fn rendering(&self) -> Result<Rendering, Error> {
         let mut rendering = self.tmo.clone();
         for text in &self.tmo_set {
@@ -54,17 +55,18 @@ impl Tone {
     }
 }
 
-/// The list of parameters, if the command line asks for it by `--tmo-set help`. No other argument is required then.
+/// Returns the list of the operator's parameters if the command line contains `--tmo-set help`. Required arguments may
+/// be missing then.
 pub fn settings_asked(command: clap::Command) -> Option<String> {
     let matches = command.ignore_errors(true).try_get_matches().ok()?;
     let (_, own) = matches.subcommand()?;
-    // An error if the command has no tone mapping.
+    // This is an error, and the result `None`, if the command has no tone mapping.
     own.try_contains_id("tmo_set").ok()?;
     let mut tone = Tone::from_arg_matches(own).ok()?;
     tone.tmo_set.iter().any(|text| text == "help").then(|| listed(&mut tone.tmo))
 }
 
-/// The parameters of `rendering`, their ranges and defaults.
+/// Returns the parameters of `rendering` with their ranges and defaults, one per line.
 fn listed(rendering: &mut Rendering) -> String {
     let mut text = format!("--tmo {}: --tmo-set KEY=VALUE\n", rendering.name());
     for setting in rendering.settings() {

@@ -43,7 +43,7 @@ Exit codes:
   3  some done; with --strict also if a result is degraded
 ";
 
-/// Options that `-h` leaves to `--help`, besides those hidden in every command.
+/// Options that `-h` does not show for this command, in addition to those that it shows for no command.
 const RARE: [&str; 9] =
     ["align", "crop", "resize", "white_balance", "brightness", "contrast", "saturation", "shadows", "highlights"];
 
@@ -192,7 +192,7 @@ struct Typed {
 }
 
 impl Acting {
-    /// The library's options for these arguments, without files and limits.
+    /// Returns the options of the library for these arguments, without files and limits.
     fn options(&self) -> Result<Options, Error> {
         let options = self.merging.options(self.method.options())?;
         let reference = self.reference.map_or(ReferenceChoice::Auto, ReferenceChoice::Number);
@@ -200,13 +200,13 @@ impl Acting {
         Ok(Options { load, crop: self.cut.crop, ..options })
     }
 
-    /// The options of `job`.
+    /// Parses the options in `job`.
     fn of(job: &Job) -> Result<Options, Error> {
         let refused = |reason: String| Error::Option { option: "--run", reason: format!("{}: {reason}", job.id) };
         Typed::try_parse_from(&job.options).map_err(|e| refused(e.to_string()))?.acting.options()
     }
 
-    /// The options that the user typed, each as one word.
+    /// Returns the options that the user typed, each as one word: `--name` or `--name=value`.
     fn typed(matches: &ArgMatches) -> Vec<String> {
         let all = <Acting as clap::Args>::augment_args(clap::Command::new("batch"));
         let is_typed = |id: &str| matches.value_source(id) == Some(ValueSource::CommandLine);
@@ -313,7 +313,7 @@ impl Args {
     }
 }
 
-/// `--plan`.
+/// Runs `hdralign batch --plan`: prints the jobs.
 fn print_plan(jobs: &[Job], found: &find::Found, args: &Args) -> Result<ExitCode, Error> {
     let mut lines = Vec::with_capacity(jobs.len());
     for job in jobs {
@@ -329,7 +329,7 @@ fn print_plan(jobs: &[Job], found: &find::Found, args: &Args) -> Result<ExitCode
     Ok(exit_code(Outcome::of(lines.len(), jobs.len())))
 }
 
-/// `--run PLAN --id ID`.
+/// Runs `hdralign batch --run PLAN --id ID`.
 fn jobs(path: &Path, args: &Args, typed: &[String]) -> Result<ExitCode, Error> {
     if let Some(option) = typed.first() {
         let reason = format!("{option} changes the results, so it must be given with --plan");
@@ -362,13 +362,14 @@ fn jobs(path: &Path, args: &Args, typed: &[String]) -> Result<ExitCode, Error> {
     Ok(if args.work.strict && degraded && outcome == Outcome::All { ExitCode::from(3) } else { exit_code(outcome) })
 }
 
-/// The limit on pixels of a photograph of `job`: as given, or else the default, or its planned size if that is larger.
+/// Returns the limit on the pixels of a photograph of `job`: the limit that the user gave, or else the larger of the
+/// default limit and the size in the plan.
 fn largest(job: &Job, work: &Work) -> u64 {
     let planned = (job.width_px as u64).saturating_mul(job.height_px as u64);
     work.largest.given().unwrap_or_else(|| work.largest.pixels().max(planned))
 }
 
-/// `--summarize PLAN`.
+/// Runs `hdralign batch --summarize PLAN`.
 fn summarize(path: &Path, args: &Args) -> Result<ExitCode, Error> {
     let jobs = Job::read_all(path)?;
     let Some(first) = jobs.first() else {
@@ -393,7 +394,7 @@ mod tests {
     use super::*;
     use clap::Args as _;
 
-    /// The words of the plan, and the options.
+    /// Returns the options in a plan, and those of the library, for the command line `words`.
     fn typed(words: &[&str]) -> (Vec<String>, Options) {
         let command = Args::augment_args(clap::Command::new("batch"));
         let matches = command.get_matches_from([&["batch", "in"], words].concat());

@@ -143,7 +143,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
     Ok(code)
 }
 
-/// The outcome and the measured differences.
+/// Returns the lines with the outcome and the measured differences.
 fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
     let bytes = if compared.bytes_equal { ", byte for byte" } else { "" };
     let name = if compared.is_same() { "same" } else { "differs" };
@@ -179,7 +179,7 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
         if radiance.not_comparable_pixels > 0 {
             row("odd", format!("{} pixels are NaN or infinite in one of them", radiance.not_comparable_pixels));
         }
-        // The whole difference is a gain.
+        // If mean and RMS difference in stops are almost equal, all pixels differ by the same factor.
         let (mean, rms) = (radiance.mean_stops, radiance.rms_stops);
         if mean.abs() > 0.002 && mean.abs() > 0.97 * rms {
             let word = if mean > 0.0 { "brighter" } else { "darker" };
@@ -213,7 +213,7 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
     lines
 }
 
-/// A value with significant digits only.
+/// Returns `value` as text with four or five significant digits.
 fn number(value: f64) -> String {
     if value == 0.0 || value.fract() == 0.0 && value.abs() < 1e5 {
         format!("{value}")
@@ -224,7 +224,7 @@ fn number(value: f64) -> String {
     }
 }
 
-/// A text of a header, printable and shortened.
+/// Returns the start of a header's text on one line, at most 60 characters.
 fn one_line(text: &str) -> String {
     let line: String = text.chars().map(|c| if c.is_control() { ' ' } else { c }).take(60).collect();
     line.trim().to_owned()

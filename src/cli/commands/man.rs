@@ -43,7 +43,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Writes the pages of `program` and its commands, and gives their names.
+/// Writes the pages of `program` and its commands, and returns their paths.
 fn pages(program: &clap::Command, folder: &Path, overwrite: bool) -> Result<Vec<PathBuf>, Error> {
     let failed = |source| Error::Write { path: folder.to_owned(), source };
     std::fs::create_dir_all(folder).map_err(failed)?;
@@ -56,7 +56,7 @@ fn pages(program: &clap::Command, folder: &Path, overwrite: bool) -> Result<Vec<
     Ok(paths)
 }
 
-/// The page of one command.
+/// Returns the page of one command.
 fn page(command: &clap::Command) -> io::Result<Vec<u8>> {
     let mut page = Vec::new();
     let source = concat!("hdralign ", env!("CARGO_PKG_VERSION"));

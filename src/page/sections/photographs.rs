@@ -187,7 +187,7 @@ fn comparison(frame: &FrameReport) -> String {
     out + "</dl>\n"
 }
 
-/// Returns the plots of the bitmap difference against rotation and shift.
+/// Returns the plots of the bitmap difference over rotation and shift.
 fn curves(xor: &Xor, frame: &FrameReport) -> String {
     let [angle, dx, dy] = &xor.plots;
     let about = if frame.alignment.status.rejected_by().is_some() {

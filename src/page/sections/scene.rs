@@ -7,7 +7,7 @@ use crate::page::Page;
 use crate::page::markup::{file_name, img, percent, signed};
 use crate::report::Report;
 
-/// Returns the area excluded from each frame because of movement, or `None` without deghosting.
+/// Returns the share of the picture where each frame is not used because of movement, or `None` without deghosting.
 pub(in crate::page) fn moved(report: &Report) -> Option<String> {
     let ghosts = report.ghosts.as_ref()?;
     let row = |frame: &crate::merge::deghost::GhostFrame| {

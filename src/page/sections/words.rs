@@ -8,8 +8,9 @@ use crate::merge::local::LocalReport;
 use crate::page::markup::{escape, file_name, percent, signed};
 use crate::report::{FrameReport, Report};
 
-/// Alignment errors in px: below the first the result shows no difference; above the second fine detail may be blurred.
+/// Alignment error below which the result shows no difference, in px.
 const UNSEEN_PX: f64 = 0.3;
+/// Alignment error above which fine detail may be blurred, in px.
 const SOFT_PX: f64 = 1.0;
 /// Smallest fraction of the picture that is reported.
 const WORTH: f64 = 0.005;
@@ -50,7 +51,7 @@ fn reference(report: &Report) -> String {
     named(with(report, Status::Reference))
 }
 
-/// Describes how many frames were merged, and which were left out and why.
+/// Describes how many frames were merged, and which were not merged and why.
 fn frames(report: &Report) -> String {
     let taken: Vec<&FrameReport> = report.frames.iter().filter(|f| f.alignment.rejected_by.is_none()).collect();
     let (count, all) = (taken.len(), report.frames.len());
