@@ -218,7 +218,7 @@ pub enum Error {
     },
     /// The scratch file, for data that do not fit into the memory limit, could not be created, written or read.
     #[error(
-        "{}: the scratch file cannot be used: {source}; free space there, name another folder with --scratch, or raise the memory limit with --max-memory",
+        "{}: the scratch file cannot be used: {source}; delete some files there, name another folder with --scratch, or raise the memory limit with --max-memory",
         folder.display()
     )]
     Scratch {
@@ -244,7 +244,7 @@ pub enum Error {
         reason: String,
     },
     /// A plan of batch jobs is invalid.
-    #[error("{}: line {line}: is not a valid plan: {reason}; create one with `hdralign batch --plan FOLDER`", path.display())]
+    #[error("{}: line {line}: is not a valid plan: {reason}; create one with `hdralign batch FOLDER --plan`", path.display())]
     PlanFile {
         /// The file.
         path: PathBuf,
@@ -323,8 +323,8 @@ fn write_remedy(source: &io::Error) -> &'static str {
     use io::ErrorKind::{AlreadyExists, FileTooLarge, InvalidFilename, IsADirectory, NotADirectory};
     use io::ErrorKind::{QuotaExceeded, ReadOnlyFilesystem, StorageFull};
     match source.kind() {
-        StorageFull => "; free space there, or write to another disk",
-        QuotaExceeded => "; the quota is used up: free space there, or write to another disk",
+        StorageFull => "; delete some files there, or write to another disk",
+        QuotaExceeded => "; the quota is used up: delete some files there, or write to another disk",
         ReadOnlyFilesystem => "; write to a folder on another disk, or mount this one for writing",
         FileTooLarge => "; allow larger files (`ulimit -f`), or write to a file system that holds them",
         InvalidFilename => "; give it a shorter name",
@@ -332,8 +332,10 @@ fn write_remedy(source: &io::Error) -> &'static str {
         AlreadyExists | NotADirectory => {
             "; a file has the name of this folder: choose another folder, or move the file"
         }
-        IsADirectory if source.raw_os_error().is_some() => "; a folder has that name: move it away, or choose another",
-        _ => remedy(source, "; check the folder, its permissions and the space left"),
+        IsADirectory if source.raw_os_error().is_some() => {
+            "; a folder has that name: move it away, or choose another name"
+        }
+        _ => remedy(source, "; check the folder, its permissions and the free disk space"),
     }
 }
 

@@ -108,6 +108,7 @@ pub(crate) fn check(placement: &Placement, (width, height): (usize, usize)) -> s
     if is_sane {
         return Ok(());
     }
-    Err("its homography is invalid: give nine finite numbers that keep the picture in front of the camera and do not mirror it"
+    Err("its homography is invalid: the nine numbers must be finite, must not mirror the picture, and must not put a corner \
+         of it behind the camera; copy the numbers from a file that hdralign wrote"
         .into())
 }

@@ -152,7 +152,7 @@ impl SavedAlignment {
             return Ok(());
         }
         let reason = format!(
-            "it is for other photographs: its reference, {}, is not among these; name another file to create one for these",
+            "it is for other photographs, because its reference {} is not among these; give the name of a new file to create one for these",
             self.reference.display()
         );
         Err(Error::TransformsFile { path: path.to_owned(), reason })
@@ -168,18 +168,22 @@ impl SavedAlignment {
         let (width, height) = (bracket.width(), bracket.height());
         if self.size != (width, height) {
             let (w, h) = self.size;
-            return wrong(format!("it is for photographs of {w}x{h} pixels, and these are {width}x{height}"));
+            return wrong(format!(
+                "it is for photographs of {w}x{h} pixels, but these have {width}x{height}; give the name of a new file to create one for these"
+            ));
         }
         if bracket.named(&self.reference) != Some(bracket.reference_index()) {
             return wrong(format!(
-                "its reference is {}, and this bracket's is {}; give --reference {} or remove the file",
+                "its reference is {}, but this bracket has the reference {}; give --reference {}, or delete the file",
                 self.reference.display(),
                 bracket.reference().path().display(),
                 self.reference.display()
             ));
         }
         if !self.frames.iter().any(|given| bracket.named(&given.path).is_some()) {
-            return wrong("it contains none of these photographs; remove it to create one for them".into());
+            return wrong(
+                "it contains none of these photographs; give the name of a new file to create one for these".into(),
+            );
         }
         Ok(())
     }
@@ -197,7 +201,7 @@ fn found(frame: FrameDocument, size: (usize, usize)) -> std::result::Result<Foun
         let by_default = if by == RejectedBy::Alignment { 0.0 } else { 1.0 };
         Placement::Rejected { by, confidence: frame.confidence.unwrap_or(by_default), reason: frame.reason }
     } else {
-        let homography = frame.homography.ok_or("it is to be merged, but has no homography")?;
+        let homography = frame.homography.ok_or("it is merged according to its status, but has no homography; add nine numbers, or set the status to excluded")?;
         let h = Matrix3::from_row_slice(&homography);
         let transform = match frame.status {
             Status::Unmoved | Status::Assumed if h == Matrix3::identity() => Transform::Identity,
@@ -271,7 +275,7 @@ mod tests {
             (json.replace("\"confidence\": 0.75", "\"confidence\": 1.5"), "a.jpg: its confidence"),
             (
                 json.replace("\"status\": \"rejected\"", "\"status\": \"unmoved\""),
-                "d.jpg: it is to be merged, but has no",
+                "d.jpg: it is merged according to its status, but has no",
             ),
             (json.replace("\"width_px\": 400,", ""), "width_px"),
         ] {

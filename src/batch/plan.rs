@@ -427,7 +427,7 @@ impl Job {
             Some(job) if job.software != super::SOFTWARE => refused(
                 "--run",
                 format!(
-                    "{}: this plan is from {}, and this is {}, whose results may have other bytes; create the plan again",
+                    "{}: this plan was made by {}, but you are running {}, and its results may differ; create the plan again",
                     path.display(),
                     job.software,
                     super::SOFTWARE

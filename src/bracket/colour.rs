@@ -122,17 +122,17 @@ pub fn linear_to_srgb(linear: f64) -> f64 {
 #[serde(rename_all = "kebab-case")]
 #[strum(serialize_all = "kebab-case")]
 pub enum Space {
-    /// Primaries of ITU-R BT.709, D65.
+    /// ITU-R BT.709 primaries, D65: most programs.
     Srgb,
-    /// Display P3, D65.
+    /// Display P3, D65: phones and newer computers.
     DisplayP3,
-    /// Adobe RGB (1998), D65.
+    /// Adobe RGB (1998), D65: print.
     AdobeRgb,
-    /// ITU-R BT.2020, D65.
+    /// ITU-R BT.2020, D65: HDR video.
     Rec2020,
-    /// ProPhoto RGB, D50.
+    /// ProPhoto RGB, D50: photo editing.
     Prophoto,
-    /// ACEScg: AP1 with the ACES white.
+    /// ACEScg (AP1 primaries, ACES white): visual effects.
     Acescg,
 }
 

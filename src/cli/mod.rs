@@ -31,9 +31,9 @@ mod heading {
     pub const RESOURCES: &str = "Resources";
 }
 
-/// Merge a bracket of differently exposed photographs to linear radiance and a tone-mapped picture.
+/// Merge photographs of one scene with different exposures to an HDR file (linear radiance) and a finished picture.
 #[derive(Debug, Parser)]
-#[command(version, about, max_term_width = 100, after_help = AFTER_HELP)]
+#[command(version, max_term_width = 100, after_help = AFTER_HELP)]
 pub struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -41,21 +41,21 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Align and merge a bracket; write radiance and a picture
+    /// Align and merge a bracket; write an HDR file (radiance) and a picture
     Merge(Box<commands::merge::Args>),
     /// Find the brackets in folders and merge them all
     Batch(Box<commands::batch::Args>),
-    /// Align a bracket; write transforms and aligned frames
+    /// Align a bracket: print the motion; write transforms and aligned frames on request
     Align(commands::align::Args),
-    /// Recover the response of a camera from one or more brackets
+    /// Recover the response of a camera (light to pixel values) from one or more brackets
     Response(commands::response::Args),
-    /// Draw how a bracket was aligned: bitmaps, keypoints, matches, edges
+    /// Draw pictures that show how a bracket was aligned
     Inspect(commands::inspect::Args),
-    /// Tone-map a radiance map, or convert it
+    /// Make a picture from an HDR file (tone mapping), or convert it to another format
     Tonemap(commands::tonemap::Args),
     /// Compare two radiance maps or two pictures, within a tolerance
     Compare(commands::compare::Args),
-    /// Print the completion script of a shell
+    /// Print a script that lets a shell complete commands with the Tab key
     Completions(commands::completions::Args),
     /// Print the man page, or write the man pages of all commands
     Man(commands::man::Args),
@@ -98,22 +98,37 @@ impl Command {
     }
 }
 
+/// Returns the definition of the command line. `-h` of a command that has more options says so.
+fn program() -> clap::Command {
+    Cli::command().mut_subcommands(|command| {
+        if !command.get_arguments().any(clap::Arg::is_hide_short_help_set) {
+            return command;
+        }
+        let help =
+            clap::Arg::new("help").short('h').long("help").action(clap::ArgAction::Help).help_heading(None::<&str>);
+        command.disable_help_flag(true).arg(
+            help.help("Print the most used options (all options: --help)")
+                .long_help("Print all options (the most used options: -h)"),
+        )
+    })
+}
+
 /// Runs the command line of this process.
 pub fn run() -> ExitCode {
     process::panics::guarded(run_command)
 }
 
 fn run_command() -> ExitCode {
-    if let Some(settings) = arguments::tone::settings_asked(Cli::command()) {
+    if let Some(settings) = arguments::tone::settings_asked(program()) {
         return ended("", tell(&settings).map(|()| ExitCode::SUCCESS));
     }
-    let parsed = Cli::command().try_get_matches().and_then(|m| Ok((Cli::from_arg_matches(&m)?.command, m)));
+    let parsed = program().try_get_matches().and_then(|m| Ok((Cli::from_arg_matches(&m)?.command, m)));
     let (command, matches) = match parsed {
         Ok(parsed) => parsed,
         Err(asked) => {
             let command = std::env::args_os().nth(1);
             let command = command.as_deref().and_then(OsStr::to_str);
-            return answer(&usage::clear(asked, &mut Cli::command(), command));
+            return answer(&usage::clear(asked, &mut program(), command));
         }
     };
     process::allocator::give_back_soon(&matches);

@@ -70,7 +70,7 @@ fn lines(report: &Report, terminal: &Terminal) -> Vec<String> {
     let all = [
         Some(row(merged, &size(report))),
         Some(row("aligned", &aligned(report, terminal.room(LABEL)))),
-        movement(report).map(|moved| row("movement", &moved)),
+        movement(report, terminal.room(LABEL)).map(|moved| row("movement", &moved)),
         report.white_balance.map(|light| row("white", &white(light))),
         Some(format!("{}{frames}", terminal.strong(&format!("{:LABEL$}", "frames")))),
         Some(row("range", &range(report))),
@@ -85,16 +85,21 @@ pub fn white(light: Light) -> String {
     format!("--white-balance {light}")
 }
 
-/// Returns the share of the picture where something moved, and the place of most of it; `None` if nothing moved or
-/// deghosting is off.
-fn movement(report: &Report) -> Option<String> {
+/// Returns the share of the picture where something moved, the place of most of it, and the frame that is shown there,
+/// in at most `room` columns if possible; `None` if nothing moved or deghosting is off.
+fn movement(report: &Report, room: usize) -> Option<String> {
     let ghosts = report.ghosts.as_ref()?;
     let place = ghosts.place((report.crop.width_px, report.crop.height_px))?;
     let percent = match 100.0 * ghosts.ghost_fraction {
         percent if percent < 0.1 => "under 0.1".to_owned(),
         percent => format!("{percent:.1}"),
     };
-    Some(format!("in {percent} % of the picture, most of it {place}; ghosts removed"))
+    let reference = report.frames.iter().find(|frame| frame.alignment.status == Status::Reference);
+    let shown = reference.map_or_else(String::new, |frame| format!("; shown as in {}", name(&frame.path)));
+    let words = format!("in {percent} % of the picture, most of it {place}{shown}");
+    // Where the reference frame is clipped, its surroundings are continued.
+    let filled = if ghosts.continued_fraction > 0.0 { ", partly filled in" } else { "" };
+    Some(if words.chars().count() + filled.len() <= room { words + filled } else { words })
 }
 
 /// Returns the number of merged frames and the size of the result as text.
@@ -163,8 +168,8 @@ fn problems(report: &Report, room: usize) -> String {
             let names = if frames.len() <= most { format!(": {}", names.join(", ")) } else { String::new() };
             (!frames.is_empty()).then(|| format!("{}{label}{names}", frames.len()))
         };
-        let guessed = is_guessed.then(|| "some values are in doubt, see the warnings".to_owned());
-        let local = is_local.then(|| "frames tone-mapped locally by the camera".to_owned());
+        let guessed = is_guessed.then(|| "some values are uncertain, see the warnings".to_owned());
+        let local = is_local.then(|| "tone-mapped locally by the camera".to_owned());
         let parts = [
             some(" rejected", &rejected),
             some(" excluded", &excluded),
@@ -192,10 +197,18 @@ fn range(report: &Report) -> String {
         let scene = &merged.radiance;
         words.extend(merged.range_stops.map(|stops| format!("the result {stops:.1} stops")));
         if report.calibration.is_some() {
-            words.push(format!("{:.2e} to {:.2e} cd/m2", scene.p0_1, scene.p99_9));
+            words.push(format!("{} to {} cd/m2", plain(scene.p0_1.into()), plain(scene.p99_9.into())));
         }
     }
     words.join(", ")
+}
+
+/// Returns `value` with at least three significant digits, as a decimal number unless it is very small or large.
+fn plain(value: f64) -> String {
+    if !(1e-3..1e7).contains(&value) {
+        return format!("{value:.2e}");
+    }
+    format!("{value:.*}", (2.0 - value.log10().floor()).max(0.0) as usize)
 }
 
 /// Returns the files as text. If they do not fit, a common name is listed once with all its extensions, and the common
@@ -263,7 +276,10 @@ fn line(frame: &FrameReport) -> String {
         if let Some(error) = place.error_px {
             text += &format!(", within {error:.2} px");
         }
-        text += &format!(", confidence {:.2}", place.confidence);
+        // An excluded frame has a confidence of 1, although it was not aligned.
+        if !matches!(place.status, Status::Excluded | Status::Flash) {
+            text += &format!(", confidence {:.2}", place.confidence);
+        }
     }
     text
 }
@@ -281,6 +297,12 @@ mod tests {
         let images: Vec<PathBuf> = [2, 3, 4].iter().map(|i| format!("{folder}/window_{i}.jpg").into()).collect();
         let align = AlignOptions { mode: AlignMode::None, ..AlignOptions::default() };
         pipeline::align_only(&images, &Options { align, ..Options::default() }, &pipeline::unwatched).unwrap()
+    }
+
+    #[test]
+    fn luminance_is_a_plain_number_unless_it_is_extreme() {
+        let shown = [2.0512, 11_934.0, 0.0123, 445.4, 99.99, 1e-5, 3e8].map(plain);
+        assert_eq!(shown, ["2.05", "11934", "0.0123", "445", "100.0", "1.00e-5", "3.00e8"]);
     }
 
     #[test]

@@ -62,7 +62,7 @@ fn not_numbers(input: &Input, path: &Path) -> Option<Warning> {
     let which = if count == pixels.len() { "all".to_owned() } else { format!("{count} of {}", pixels.len()) };
     let detail = format!(
         "{which} pixels have values that are not finite numbers (NaN, infinity); they are part of the expected file now. If they are an error, \
-         create the file again and bless it"
+         create the file again and repeat --bless"
     );
     (count > 0).then(|| Warning::Metadata { path: path.to_owned(), detail })
 }

@@ -23,7 +23,7 @@ pub enum Warning {
     },
     /// A frame is too dark or too bright to be aligned; its transform is assumed from those of the other frames.
     #[error(
-        "{}: too {} to be aligned ({reason}): its transform is assumed from the other frames, within {error_px:.1} px, and it is merged only where they are {}; exclude it with --leave-out",
+        "{}: too {} to be aligned ({reason}): its transform is assumed from the other frames, within {error_px:.1} px, and it is merged only where the other frames are {}; exclude it with --leave-out",
         path.display(),
         if *is_dark { "dark" } else { "bright" },
         if *is_dark { "clipped" } else { "black" }
@@ -125,7 +125,7 @@ pub enum Warning {
     },
     /// The exposure of a frame differs from the pixels by more than the largest correction.
     #[error(
-        "{}: by its pixels, the exposure is off by {wanted_stops:+.2} stops, but was only corrected by {used_stops:+.2}; give -e to set it",
+        "{}: by the pixels, the exposure is wrong by {wanted_stops:+.2} stops, but it was corrected by only {used_stops:+.2}; give -e to set it",
         path.display()
     )]
     ExposureBounded {
@@ -173,7 +173,7 @@ pub enum Warning {
         paths: Vec<PathBuf>,
     },
     /// The response file is of another camera than the photographs, or does not fit them.
-    #[error("{}: {detail}; recover the response of the photographs with `hdralign response`, or do not give --response", path.display())]
+    #[error("{}: {detail}; recover the response of the photographs with `hdralign response`, or omit --response", path.display())]
     ResponseDoubtful {
         /// The response file.
         path: PathBuf,
@@ -238,7 +238,7 @@ pub enum Warning {
     },
     /// The mean colour of the picture is not that of a light source, so the white balance was not changed.
     #[error(
-        "--white-balance auto: the mean colour is not that of a light source, so the white balance is unchanged; give a temperature or a grey spot"
+        "--white-balance auto: the mean colour is not the colour of a light source, so the white balance is unchanged; give a temperature or a grey spot"
     )]
     NoWhite,
     /// Values were outside the range of the output format.

@@ -46,7 +46,7 @@ impl Tables {
         for (i, (name, detected)) in detectors.into_iter().enumerate() {
             add(
                 &format!("Table {}. {name}: matches with the reference, and inliers among them", 3 + 2 * i),
-                "Matches are mutual and pass the ratio test. The alignment uses further methods.",
+                "Only mutual matches that pass the ratio test are counted. The alignment also uses other methods.",
                 &["EV", "plain", "inliers", "MTB", "inliers", "merged", "inliers"],
                 &|frame| match_row(frame, detected(frame)),
             );
@@ -68,7 +68,7 @@ impl Tables {
         );
         add(
             "Table 8. Median threshold bitmaps",
-            "XOR: of the pixels that count in both bitmaps, the percentage that differs, before and after alignment.",
+            "XOR: percentage of differing pixels among those that count in both bitmaps, before and after alignment.",
             &["percentile", "threshold", "excluded %", "XOR before %", "XOR after %"],
             &bitmap_row,
         );

@@ -23,18 +23,18 @@ const REACH: usize = 4;
 #[serde(rename_all = "kebab-case")]
 #[strum(serialize_all = "kebab-case")]
 pub enum Weight {
-    /// 0 at both ends of the code values, rising linearly to the middle.
+    /// Middle values count most; falls linearly to 0 at black and white.
     #[default]
     Hat,
-    /// Gaussian about the middle, with a standard deviation of 45 of 255 code values.
+    /// Middle values count most; a Gaussian with a standard deviation of 45 (of 255).
     Gaussian,
-    /// Nearly 1, falling to 0 in the lowest and the highest tenth of the code values.
+    /// Values count nearly the same; falls to 0 in the lowest and the highest tenth.
     Plateau,
-    /// 1 for every code value, clipped or not.
+    /// All values count the same, clipped or not.
     Uniform,
-    /// Certainty (Mann & Picard 1995): the slope of the response, in code values per stop.
+    /// By the slope of the response, in values per stop: certainty (Mann & Picard 1995).
     MannPicard,
-    /// Inverse variance of the radiance, from the noise measured in each frame and from rounding.
+    /// Frames with less noise count more: inverse variance, from the measured noise and from rounding.
     Noise,
 }
 

@@ -184,12 +184,12 @@ pub fn prepare(brackets: &[Vec<PathBuf>], options: &Options, watch: Watch) -> Re
 fn check_options(brackets: &[Vec<PathBuf>], options: &Options) -> Result<()> {
     let single = |option, reason: &str| Err(Error::Option { option, reason: reason.to_owned() });
     if brackets.len() > 1 && options.pipeline.load.ev.is_some() {
-        return single("-e", "it applies to one bracket, and there are several; use that bracket only");
+        return single("-e", "it applies to one bracket, but there are several; run the command on this bracket only");
     }
     if brackets.len() > 1 && matches!(options.pipeline.load.reference, ReferenceChoice::File(_)) {
         return single(
             "--reference",
-            "a file is in one bracket, and there are several; give a number, or omit the option",
+            "there are several brackets, and a file is in only one of them; give a number (the position in each bracket), or omit the option",
         );
     }
     Ok(())

@@ -54,7 +54,7 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
     let Some((layer, channels)) = chosen.or_else(grey) else {
         let names = layers.iter().flat_map(|layer| &layer.channel_data.list);
         let names: Vec<String> = names.take(8).map(|c| c.name.to_string()).collect();
-        return Err(format!("it has neither R, G and B nor Y, only {}", names.join(", ")));
+        return Err(format!("it needs the channels R, G and B, or Y, but has only {}", names.join(", ")));
     };
     if channels.iter().any(|c| c.sampling != Vec2(1, 1)) {
         return Err("its chroma channels are subsampled; convert it to RGB first".into());

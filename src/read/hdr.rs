@@ -48,12 +48,15 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
             "EXPOSURE" => {
                 let factor = value.parse().ok().and_then(Factor::new);
                 let all = factor.and_then(|factor| metadata.exposure_scale.times(factor));
-                metadata.exposure_scale = all
-                    .ok_or_else(|| format!("its EXPOSURE is `{value}`, and the product must be from 1e-20 to 1e20"))?;
+                metadata.exposure_scale = all.ok_or_else(|| {
+                    format!(
+                        "its EXPOSURE is `{value}`; the product of all its EXPOSURE lines must be from 1e-20 to 1e20"
+                    )
+                })?;
             }
             "COLORCORR" => {
                 corrections = corrected(corrections, value).ok_or_else(|| {
-                    format!("its COLORCORR is `{value}`, and must be three factors from 1e-20 to 1e20")
+                    format!("its COLORCORR is `{value}`; three factors from 1e-20 to 1e20 are required")
                 })?;
             }
             "PRIMARIES" => metadata.primaries = primaries(value).ok_or("its PRIMARIES are not eight numbers")?,

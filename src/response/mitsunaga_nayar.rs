@@ -210,7 +210,9 @@ impl Pairs {
         }
         let power = if refined { both / given } else { 1.0 };
         if !POWER.contains(&power) {
-            return Err(format!("the estimated exposures are the power {power:.2} of the given ones"));
+            return Err(format!(
+                "the estimated exposures are the given ones to the power of {power:.2}, which is too far from 1"
+            ));
         }
         let error = error / power;
         let g = f.map(|v| libm::log(v) / power);

@@ -154,15 +154,15 @@ impl ResponseCurve {
 #[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
 #[strum(serialize_all = "kebab-case")]
 pub enum ResponseModel {
-    /// From the bracket: Debevec & Malik 1997.
+    /// Recovered from the bracket: Debevec & Malik 1997.
     Debevec(debevec::Options),
-    /// From the bracket: Robertson, Borman & Stevenson 2003.
+    /// Recovered from the bracket: Robertson, Borman & Stevenson 2003.
     Robertson(robertson::Options),
-    /// From the bracket, as a polynomial: Mitsunaga & Nayar 1999.
+    /// Recovered from the bracket, as a polynomial: Mitsunaga & Nayar 1999.
     MitsunagaNayar(mitsunaga_nayar::Options),
-    /// Code values proportional to the exposure.
+    /// Not recovered: pixel values proportional to the light, as in linear TIFFs.
     Linear,
-    /// The sRGB transfer function.
+    /// Not recovered: the sRGB transfer function.
     Srgb,
 }
 

@@ -33,10 +33,11 @@ use std::f64::consts::LN_2;
 #[serde(rename_all = "kebab-case")]
 #[strum(serialize_all = "kebab-case")]
 pub enum Exposures {
-    /// Corrected by up to a sixth of a stop to match the pixels, except exposures that the user gave.
+    /// Correct exposures to match the pixels: by up to 1/6 stop if all are from EXIF, by up to 3/4 stop if all are
+    /// estimated. Exposures given by -e are not corrected.
     #[default]
     FineTuned,
-    /// Exposures as recorded, as given by the user, or as estimated.
+    /// Use the exposures as recorded, given or estimated.
     AsGiven,
 }
 

@@ -39,21 +39,21 @@ pub struct DisplayImage {
 #[serde(tag = "name", rename_all = "kebab-case")]
 #[strum(serialize_all = "kebab-case")]
 pub enum Operator {
-    /// Fusion of several exposures computed from the radiance, with the colours of the photographs.
+    /// Local: fuses exposures computed from the radiance; keeps the colours of the photographs.
     Natural(natural::Options),
-    /// Global photographic tone curve: Reinhard et al. 2002.
+    /// Global: one curve, soft highlights. Reinhard et al. 2002.
     Reinhard02(operators::reinhard::Options),
-    /// Local, dodging and burning: Reinhard et al. 2002.
+    /// Local: brightens and darkens areas, as dodging and burning. Reinhard et al. 2002.
     Reinhard02Local(operators::reinhard::Options),
-    /// Global adaptive logarithm: Drago et al. 2003.
+    /// Global: one curve, bright shadows. Drago et al. 2003.
     Drago(operators::drago::Options),
-    /// Local, bilateral base and detail layers: Durand & Dorsey 2002.
+    /// Local: compresses large differences of brightness, keeps fine detail. Durand & Dorsey 2002.
     Durand(operators::durand::Options),
-    /// Local, attenuated gradients: Fattal et al. 2002.
+    /// Local: strong local contrast, dramatic. Fattal et al. 2002.
     Fattal(operators::fattal::Options),
-    /// Local, perceived contrasts at every scale: Mantiuk et al. 2006.
+    /// Local: contrasts as the eye perceives them. Mantiuk et al. 2006.
     Mantiuk06(operators::mantiuk06::Options),
-    /// Global, tone curve optimised for a display and its room: Mantiuk et al. 2008.
+    /// Global: the best curve for a given display and the light in its room. Mantiuk et al. 2008.
     Mantiuk08(operators::mantiuk08::Options),
 }
 
@@ -134,7 +134,7 @@ impl Rendering {
         });
         let fused = (
             Rendering::Fused(fusion::Options::default()),
-            "Fusion of the aligned frames, not available in `tonemap`: Mertens et al. 2007.",
+            "Fusion of the aligned frames, without radiance. Mertens et al. 2007.",
         );
         toned.chain([fused]).collect()
     }

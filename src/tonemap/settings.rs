@@ -50,7 +50,7 @@ impl<'a> Setting<'a> {
 
     /// Returns the setting for the mean code value of the picture.
     pub(super) fn brightness(value: &'a mut f64) -> Self {
-        Setting::number("brightness", (0.1, 0.9), value, "mean code value of the picture, 0 to 1")
+        Setting::number("brightness", (0.1, 0.9), value, "mean pixel value of the picture, 0 to 1")
     }
 
     /// Returns the setting for saturation, which all operators have.

@@ -22,7 +22,7 @@ pub const WHITE_EFFICACY: f64 = 179.0;
 #[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
 #[strum(serialize_all = "kebab-case")]
 pub enum Encoding {
-    /// Red, green and blue with a shared exponent.
+    /// Red, green and blue with a shared exponent: the usual encoding.
     #[default]
     Rgbe,
     /// CIE XYZ with a shared exponent: contains every visible colour.

@@ -83,7 +83,7 @@ pub fn write(
     options: &Options,
 ) -> Result<Vec<Written>> {
     if options.picture != picture::Options::default() {
-        let reason = "the given picture has 8 bits; `tonemap` and `merge` write other depths".to_owned();
+        let reason = "the picture is written as it is given, with 8 bits; other picture options need `pipeline::run` or `pipeline::tonemap_file`".to_owned();
         return Err(Error::Option { option: "--bit-depth", reason });
     }
     let outputs = Output::results(paths)?;

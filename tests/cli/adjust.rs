@@ -190,7 +190,7 @@ fn picture_of_no_lights_colour_keeps_its_white_with_a_warning() {
     write::commit(files.expect("radiance").into_iter().map(|w| w.file).collect(), false).expect("a name");
     let plain = folder.line("tonemap green.exr -o a.png -q").done();
     let run = folder.line("tonemap green.exr -o b.png --white-balance auto").done();
-    assert!(run.stderr.contains("not that of a light source") && plain.stderr.is_empty(), "{}", run.stderr);
+    assert!(run.stderr.contains("not the colour of a light source") && plain.stderr.is_empty(), "{}", run.stderr);
     assert!(codes(&folder, "a.png") == codes(&folder, "b.png"));
 }
 

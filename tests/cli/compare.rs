@@ -179,6 +179,9 @@ fn pictures_are_the_same_by_their_codes_and_not_by_their_files() {
     let psnr = json["display"]["psnr_db"].as_f64().unwrap();
     assert!(json["verdict"] == "same" && (48.13..48.6).contains(&psnr), "{psnr}");
     assert_eq!(code(&folder, "a.png brighter.png --min-psnr 49"), 1);
+    // Codes of the file with more bits.
+    let (run, _) = compare(&folder, "wide.png brighter.png");
+    assert!(run.stderr.contains("at most 257, 257, 257 of 65535 in red, green, blue"), "{}", run.stderr);
 }
 
 #[test]

@@ -14,7 +14,7 @@ fn ghost_is_removed_and_shown_in_the_mask() {
     let line = "merge w2.jpg w3.jpg w4.jpg --reference w3.jpg --crop none -o a.exr --ghost-mask m.png --report r.json";
     let run = folder.line(line).done();
     assert_eq!(run.stdout, "a.exr\nm.png\nr.json\n");
-    assert!(run.stderr.contains("movement") && run.stderr.contains("in the middle; ghosts removed"), "{}", run.stderr);
+    assert!(run.stderr.contains("movement") && run.stderr.contains("in the middle; shown as in "), "{}", run.stderr);
     let mask = image::open(folder.at("m.png")).expect("a picture");
     assert_eq!((mask.color(), mask.width(), mask.height()), (image::ColorType::L8, 300, 200));
     let mask = mask.to_luma8();

@@ -111,7 +111,7 @@ fn page_of_a_merge_is_complete_and_self_contained() {
     let crop = picture(&html, "class=\"canvas\"");
     assert_eq!(crop.width(), image::image_dimensions(window(1)).map(|size| size.0).expect("a size").min(crop.width()));
     assert_eq!(html.matches(&format!("width=\"{}\" height=\"{}\" alt=", crop.width(), crop.height())).count(), 6);
-    assert!(html.contains("100\u{a0}% is that of the file") && !html.contains("look softer"));
+    assert!(html.contains("100\u{a0}% here is 100\u{a0}% of the file") && !html.contains("look softer"));
     // The choices are: pictures (the result and every frame) and zooms (fit, 100 % and 200 %).
     assert_eq!((html.matches("name=\"shown\"").count(), html.matches("name=\"zoom\"").count()), (1 + FRAMES, 3));
     // Nothing moved: there is no overlay to switch on.

@@ -286,7 +286,8 @@ fn smaller_picture_is_the_light_of_the_large_one() {
 fn gain_map_follows_the_smaller_picture() {
     let folder = Folder::with_bracket();
     folder.line(&format!("{MERGE} -o a.exr --exr-type float")).done();
-    folder.line("tonemap a.exr --picture a.jpg --resize 150 -q").done();
+    let run = folder.line("tonemap a.exr --picture a.jpg --resize 150").done();
+    assert!(run.stderr.contains("300 x 200 pixels, picture 150 x 100, "), "{}", run.stderr);
     let bytes = folder.bytes("a.jpg");
     let second = bytes.windows(4).rposition(|w| w[..3] == [0xFF, 0xD8, 0xFF]).expect("a second picture");
     let [base, map] = [&bytes[..second], &bytes[second..]].map(|jpeg| image::load_from_memory(jpeg).expect("a JPEG"));

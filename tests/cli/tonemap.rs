@@ -138,6 +138,9 @@ fn every_operator_has_its_look_and_its_settings() {
         assert!(help.code == 0 && help.stdout.contains(name) && help.stdout.contains("saturation="), "{help:?}");
         refused(folder.line(&format!("tonemap room.exr --tmo {name} --tmo-set colour=1")), 2, "has no `colour`");
     }
+    // Fusion needs the frames: it is not listed, but refused with a reason.
+    assert!(!folder.line("tonemap -h").done().stdout.contains("mertens"));
+    refused(folder.line("tonemap room.exr --tmo mertens -o fused.png"), 2, "hdralign merge --tmo mertens");
     // Neither a radiance map nor photographs are needed to list the parameters.
     let help = folder.line("tonemap room.exr --tmo drago --tmo-set help").done();
     for line in

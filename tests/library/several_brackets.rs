@@ -180,7 +180,7 @@ fn unusable_bracket_is_skipped_for_the_response_on_request() {
 
     let error = recover(&folder, &[bad, alone], "none.json", true).unwrap_err();
     assert!(matches!(&error, Error::NoResponse { path, .. } if path.ends_with("s1.jpg")), "{error}");
-    assert!(error.to_string().contains("none of its 2 brackets") && error.to_string().contains("bad.jpg"), "{error}");
+    assert!(error.to_string().contains("none of the 2 brackets") && error.to_string().contains("bad.jpg"), "{error}");
     assert!(recover(&folder, &[], "none.json", true).unwrap_err().is_usage());
     assert!(!folder.at("none.json").exists());
 }

@@ -151,13 +151,17 @@ impl fmt::Display for Reason {
             ),
             Reason::Burst(count) => write!(
                 f,
-                "one of {count} in a row with the same exposure; if their EXIF is wrong, group them with --bracket N or --by-folder"
+                "one of {count} in a row with the same exposure; if their EXIF is wrong, give --bracket N (each N in a row are a bracket) or --by-folder"
             ),
             Reason::Remainder(frames) => {
-                write!(f, "it and the photographs around it are fewer than the {frames} of a bracket")
+                write!(f, "too few photographs are left around it for a bracket of {frames}")
             }
             Reason::OtherSize(own, others) => {
-                write!(f, "{}x{} pixels in a folder of {}x{}", own.0, own.1, others.0, others.1)
+                write!(
+                    f,
+                    "it has {}x{} pixels, but the bracket of its folder has {}x{}",
+                    own.0, own.1, others.0, others.1
+                )
             }
             Reason::Alone => write!(f, "the only photograph in its folder"),
         }

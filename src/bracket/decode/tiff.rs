@@ -120,8 +120,10 @@ impl Kind {
         };
         let is_palette = matches!(colour, Colour::Palette(_));
         if depth > 8 && (depth != 16 || is_palette) {
-            let palette = if is_palette { "a palette" } else { "samples" };
-            return unsupported(&format!("a picture with {palette} of {depth} bit"));
+            let samples = if is_palette { "palette" } else { "samples" };
+            return Err(format!(
+                "its {samples} of {depth} bits are not supported; save it as grey or RGB with 8 or 16 bits"
+            ));
         }
         // Programs take the first extra sample as alpha where ExtraSamples does not describe it.
         let extra = usize::from(samples).saturating_sub(colour.samples());

@@ -87,7 +87,7 @@ pub(crate) fn contradiction(copies: &[Copied], evs: &[f64]) -> Option<String> {
         let apart = (evs[*copy] - evs[*original]).abs();
         (apart > ONE_EXPOSURE).then(|| {
             let (path, other) = (path.display(), other.display());
-            format!("{path} has the same pixels as {other}, but an exposure {apart:.1} EV apart")
+            format!("{path} has the same pixels as {other}, but its exposure differs by {apart:.1} EV")
         })
     })
 }

@@ -61,7 +61,7 @@ pub(super) fn settle(
             false => brightness::estimate(&seen(&order)),
         };
         let estimate = estimate
-            .ok_or_else(|| unknown("it cannot be estimated from the pixels, because the frames are too dark, too bright or have too few tones"))?;
+            .ok_or_else(|| unknown("the exposures cannot be estimated from the pixels, because the frames are too dark, too bright or have too few tones"))?;
         if accepted.is_empty() && brightness::all_alike(&estimate.evs) && !is_one {
             return Err(unknown("the frames are equally bright"));
         }
@@ -69,7 +69,8 @@ pub(super) fn settle(
         for (at, &i) in order.iter().enumerate().filter(|(_, i)| !accepted.contains(i)) {
             let (from, anchor) = places.anchor(at);
             let estimated = Exposure::estimated(estimate.evs[at] + anchor, estimate.deviation(at, from));
-            exposures[i] = Some(estimated.ok_or_else(|| unknown("the pixels do not determine the exposures"))?);
+            exposures[i] =
+                Some(estimated.ok_or_else(|| unknown("the exposures cannot be calculated from the pixels"))?);
         }
         let uncertainty = estimate.uncertainty();
         let mut by_step = estimate.evs;
@@ -77,7 +78,8 @@ pub(super) fn settle(
         let listed: Vec<String> = by_step.iter().map(|step| format!("{step:.1}")).collect();
         let odd = with_exif.iter().filter(|&i| !accepted.is_empty() && !accepted.contains(i));
         let odd: Vec<String> = odd.map(|&i| pictures[i].path.display().to_string()).collect();
-        let odd = if odd.is_empty() { String::new() } else { format!("; that of {} is ignored", odd.join(", ")) };
+        let odd =
+            if odd.is_empty() { String::new() } else { format!("; the exposure of {} is ignored", odd.join(", ")) };
         let detail =
             format!("{what}{odd}; the estimates are {} EV, ± {:.0} %", listed.join(", "), 100.0 * uncertainty.abs());
         warnings.push(match contradiction {

@@ -210,7 +210,7 @@ fn given_exposures(ev: &[f64], files: usize) -> Result<Vec<Exposure>> {
     let wrong = |reason| Error::Option { option: "-e", reason };
     if ev.len() != files {
         return Err(wrong(format!(
-            "{} exposures for {files} photographs; give one for each, in their order",
+            "{} exposures for {files} photographs; give one exposure for each photograph",
             ev.len()
         )));
     }
@@ -218,7 +218,7 @@ fn given_exposures(ev: &[f64], files: usize) -> Result<Vec<Exposure>> {
         .map(|&ev| {
             let exposure = Exposure::given(ev).filter(|_| ev.abs() <= MOST_EV);
             exposure.ok_or_else(|| {
-                wrong(format!("{ev} is not an exposure; give stops within +-{MOST_EV}, as in `-e=-2,0,2`"))
+                wrong(format!("{ev} is not an exposure; give an EV from -{MOST_EV} to {MOST_EV}, as in `-e=-2,0,2`"))
             })
         })
         .collect()

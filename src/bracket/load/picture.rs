@@ -123,7 +123,7 @@ pub(in crate::bracket) fn profile(
         Found::Rgb(profile) => {
             if profile.primaries.is_none() {
                 notes.push(format!(
-                    "the primaries of its colour profile ({}) are unknown; sRGB's are assumed",
+                    "the primaries of its colour profile ({}) are unknown; sRGB is assumed",
                     profile.description
                 ));
             }

@@ -38,7 +38,7 @@ pub struct Radiance {
     #[arg(long, hide_short_help = true, value_name = "1..100", default_value_t = jpeg::Options::default().quality)]
     jpeg_quality: u8,
 
-    /// Set the size of the gain map in a .jpg. HDR displays use it to restore the radiance
+    /// Set the size of the gain map in a .jpg: extra data from which HDR displays restore the radiance
     #[arg(long, hide_short_help = true, value_parser = choice::<Resolution>(), default_value_t, value_name = "SIZE")]
     gain_map: Resolution,
 }
@@ -52,7 +52,7 @@ struct Target(Option<Space>);
 const KEEP: &str = "keep";
 
 fn spaces() -> Choice<Target> {
-    let keep = (Target(None), KEEP, "That of the photographs, or of the radiance map");
+    let keep = (Target(None), KEEP, "No conversion: the space of the photographs, or of the radiance map");
     let spaces = Space::iter().map(named).map(|(space, name, about)| (Target(Some(space)), name, about));
     [keep].into_iter().chain(spaces).collect()
 }

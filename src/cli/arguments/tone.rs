@@ -10,11 +10,12 @@ use hdralign::tonemap::{Operator, Rendering};
 #[derive(Debug, Args)]
 #[command(next_help_heading = PICTURE)]
 pub struct Tone {
-    /// Set the tone mapping operator
+    /// Set the tone mapping operator: the method that makes the picture
     #[arg(long, value_parser = renderings(), default_value = Rendering::default().name(), value_name = "NAME")]
     tmo: Rendering,
 
-    /// Set a parameter of the operator, for example brightness=0.5; may be repeated. `--tmo-set help` lists all parameters
+    /// Set a parameter of the operator, as in `--tmo durand --tmo-set base=3`; may be repeated. `--tmo-set help` lists
+    /// all parameters
     #[arg(long, hide_short_help = true, value_name = "KEY=VALUE", value_delimiter = ',')]
     tmo_set: Vec<String>,
 }
@@ -25,6 +26,12 @@ fn renderings() -> Choice<Rendering> {
         (rendering, name, about)
     };
     Rendering::every().into_iter().map(named).collect()
+}
+
+/// Returns a parser for commands that have radiance only: it accepts every rendering, so that [`Tone::operator`] can
+/// explain why fusion is not possible, and lists the operators.
+pub fn operators() -> Choice<Rendering> {
+    renderings().hiding(|rendering| matches!(rendering, Rendering::Fused(_)))
 }
 
 impl Tone {
@@ -45,9 +52,8 @@ impl Tone {
         let mut rendering = self.tmo.clone();
         for text in &self.tmo_set {
             let refused = |reason: String| Error::Option { option: "--tmo-set", reason };
-            let (key, value) = text
-                .split_once('=')
-                .ok_or_else(|| refused(format!("{text:?} is not KEY=VALUE, as in brightness=0.5")))?;
+            let (key, value) =
+                text.split_once('=').ok_or_else(|| refused(format!("{text:?} is not KEY=VALUE, as in base=3")))?;
             let number = value.trim().parse().map_err(|_| refused(format!("{value:?} in {text:?} is not a number")))?;
             rendering.set(key.trim(), number)?;
         }

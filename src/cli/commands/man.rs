@@ -1,8 +1,6 @@
 //! `hdralign man`.
 
-use crate::cli::Cli;
 use crate::cli::process::leftovers;
-use clap::CommandFactory;
 use clap_mangen::Man;
 use hdralign::error::Error;
 use hdralign::write::{self, Target};
@@ -13,23 +11,23 @@ use std::process::ExitCode;
 const AFTER_HELP: &str = "\
 Examples:
   hdralign man | man -l -                       the page of the program
-  hdralign man ~/.local/share/man/man1          one of each command: hdralign.1, hdralign-merge.1, ...";
+  hdralign man ~/.local/share/man/man1          one page for each command: hdralign.1, ...";
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct Args {
-    /// Write the pages of all commands into this folder, which is made where there is none [default: the page of the program, to standard
-    /// output]
+    /// Write the pages of all commands into this folder; it is created if it does not exist. Without it, the page of the
+    /// program is printed to stdout
     #[arg(value_name = "FOLDER")]
     folder: Option<PathBuf>,
 
-    /// Replace pages that exist
+    /// Replace existing pages
     #[arg(short, long)]
     force: bool,
 }
 
 pub fn run(args: &Args) -> Result<ExitCode, Error> {
-    let mut program = Cli::command().disable_help_subcommand(true);
+    let mut program = crate::cli::program().disable_help_subcommand(true);
     program.build();
     let Some(folder) = &args.folder else {
         let page = page(&program).map_err(|source| Error::Write { path: "standard output".into(), source })?;

@@ -40,8 +40,8 @@ pub(in crate::inspect) fn draw(title: &str, curves: &XorCurves, placed: bool) ->
         Entry { mark: Mark::Patch, colour: FOUND, words: found.into() },
     ];
     let notes = format!(
-        "Unmoved {:.2} % of the pixels that count in both bitmaps differ, under the motion {:.2} %. Each curve varies one number and keeps \
-         the two others. To the nearest pixel of the level.",
+        "Of the pixels that count in both bitmaps, {:.2} % differ without motion and {:.2} % with the motion that is marked. Each curve \
+         varies one parameter and keeps the other two. Positions are rounded to whole pixels of the pyramid level.",
         100.0 * curves.before,
         100.0 * curves.after
     );

@@ -35,9 +35,10 @@ pub(in crate::inspect) fn draw(
         entry(INLIER, format!("inliers: {inliers}")),
         entry(OUTLIER, format!("outliers: {}", matching.pairs.len() - inliers)),
     ];
-    let mut notes = "Matches of the keypoints of photographs and bitmaps that pass the ratio test and are mutual nearest neighbours; \
-                     inliers: those that agree with the homography."
-        .to_owned();
+    let mut notes =
+        "Matches of keypoints in photographs and bitmaps: mutual nearest neighbours that pass the ratio test. Inliers \
+                     agree with the homography."
+            .to_owned();
     let stride = stride(matching.pairs.len());
     if stride > 1 {
         notes += &format!(" All matches are drawn as dots, one in {stride} also as a line.");

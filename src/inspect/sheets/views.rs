@@ -104,7 +104,7 @@ pub(in crate::inspect) fn draw(title: &str, couple: &Couple) -> Result<Drawing, 
     let mut notes =
         "An edge in only one colour: the other frame is clipped or black there, or something moved.".to_owned();
     if !boxes.is_empty() {
-        notes += &format!(" Below: the boxed areas, {MAGNIFIED} px for each pixel of the photograph.");
+        notes += &format!(" Below: the marked areas, enlarged: {MAGNIFIED} px for each pixel of the photograph.");
     }
     if couple.warp.is_none() {
         notes += " The frame could not be aligned, so there is no view after alignment.";

@@ -157,7 +157,7 @@ fn top_code_luminance(frame: &Frame) -> Result<f64> {
     Err(Error::Option {
         option: "--absolute",
         reason: format!(
-            "{}: the EXIF has no {}; measure one luminance and give --calibration-factor without --absolute, in cd/m2 per unit of radiance",
+            "{}: the EXIF has no {}; measure one luminance and give --calibration-factor (cd/m2 per unit of radiance) instead of --absolute",
             frame.path().display(),
             missing.join(" and ")
         ),

@@ -63,7 +63,7 @@ pub fn converted(mut map: RadianceMap, to: Space) -> (RadianceMap, usize) {
 /// Returns the warning on `outside` pixels that were desaturated, or `None` if there are none.
 pub fn warning(outside: usize) -> Option<Warning> {
     let detail = format!(
-        "{outside} pixels have colours outside the requested colour space; they are desaturated at their luminance"
+        "{outside} pixels have colours outside the requested colour space; their saturation is reduced, their luminance is kept"
     );
     (outside > 0).then_some(Warning::OutOfGamut { detail })
 }

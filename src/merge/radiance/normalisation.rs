@@ -28,11 +28,11 @@ pub fn validate(unit_exposure: f64, calibration: &Calibration) -> Result<()> {
         ));
     }
     if calibration.camera {
-        return refused("with --absolute all brackets are in cd/m2 already; remove one of the two options".into());
+        return refused("with --absolute all brackets are in cd/m2 already; remove --absolute or --normalize".into());
     }
     if calibration.is_asked() {
         return refused(
-            "--calibration-factor alone refers to the unit of one reference frame; add --absolute, or remove it".into(),
+            "--calibration-factor without --absolute refers to the unit of one reference frame; add --absolute, or remove --calibration-factor".into(),
         );
     }
     Ok(())
@@ -52,7 +52,7 @@ pub fn check(reference: &Frame) -> Result<()> {
         ExposureSource::Estimated => "estimated from the pixels",
     };
     refused(format!(
-        "the exposure of {path} is {origin} and not from EXIF, so its radiance cannot be compared with that of other brackets; merge it with {OPTION} bracket"
+        "the exposure of {path} is {origin} and not from EXIF, so its radiance cannot be compared with the radiance of other brackets; merge it with {OPTION} bracket"
     ))
 }
 

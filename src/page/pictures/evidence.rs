@@ -156,8 +156,11 @@ fn xor(curves: &XorCurves, is_placed: bool) -> Xor {
         plot.curve("accent", curve.at.iter().zip(&curve.share).map(|(&at, &share)| (at, 100.0 * share)));
         let found = signed(at, decimals);
         plot.mark(at, &format!("{found}{unit}"));
-        let what = if is_placed { "the alignment" } else { "the bitmaps' own best" };
-        plot.finish("", &format!("Share of differing bitmap pixels against {name}; {what} is at {found}{unit}."))
+        let what = if is_placed { "the alignment" } else { "the best match of the bitmaps" };
+        plot.finish(
+            "",
+            &format!("Percentage of differing bitmap pixels, plotted over {name}; {what} is at {found}{unit}."),
+        )
     };
     Xor {
         before: curves.before,

@@ -43,7 +43,7 @@ pub(in crate::page) fn processed(page: &Page, report: &Report) -> Option<String>
          <span class=\"key brighter\"></span> \
          brightened by the phone, <span class=\"key darker\"></span> darkened by it. The strongest colours are \
          {:.1} stops. Exposure steps appear \
-         in the pixels at {} of their size. Large differences of brightness were expanded by {:.2} on average.</p>\n<div class=\"grid\">\n{cards}</div>\n",
+         in the pixels at {} of their size. On average, one stop in a frame stands for {:.2} stops in the scene.</p>\n<div class=\"grid\">\n{cards}</div>\n",
         local.most_stops,
         percent(found.exposure_step_fraction),
         found.expansion

@@ -112,7 +112,7 @@ fn overlays(page: &Page, report: &Report) -> (String, String) {
         layers += &layer(picture, "gain", "Overlay: where the phone brightened and darkened the frame.");
         let words = format!(
             "<span class=\"key brighter\"></span> brightened by the phone, <span class=\"key darker\"></span> \
-             darkened, by up to {:.1} stops relative to the reference. Over the result, the overlay is that of {}.",
+             darkened, by up to {:.1} stops relative to the reference. Over the result, the overlay of {} is shown.",
             local.most_stops,
             report.frames.get(*frame).map_or_else(String::new, |frame| file_name(&frame.path))
         );
@@ -138,7 +138,7 @@ fn caption(page: &Page, report: &Report, result: Option<&Picture>) -> String {
         });
         words += &match result.width == crop.width_px {
             true => format!(
-                "The result is shown with all its {} × {} pixels: 100\u{a0}% is that of the file.",
+                "The result is shown with all its {} × {} pixels: 100\u{a0}% here is 100\u{a0}% of the file.",
                 crop.width_px, crop.height_px
             ),
             false => format!(

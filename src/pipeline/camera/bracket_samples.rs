@@ -64,11 +64,12 @@ pub(super) fn collect(
         let Some(Warning::BracketLeftOut { path, reason }) = left_out.into_iter().next() else {
             return Err(Error::TooFewFrames { given: 0 });
         };
-        let reason = format!("none of its {} brackets can be used; the first: {reason}", brackets.len());
+        let reason = format!("none of the {} brackets can be used; the first one: {reason}", brackets.len());
         return Err(Error::NoResponse { path, reason });
     }
     if left_out.is_empty() && found_given < options.pipeline.align.given.len() {
-        let reason = "a photograph named there is in no bracket".to_owned();
+        let reason = "one of the photographs named by these options is in no bracket; name photographs of the brackets"
+            .to_owned();
         return Err(Error::Option { option: "--leave-out or --unmoved", reason });
     }
     warnings.extend(left_out);

@@ -99,10 +99,12 @@ fn contradicted_response(
     let warning = |(found, own)| {
         let detail = match is_local {
             true => format!(
-                "the frames are locally processed: they contradict this response by {found:.2} stops, and would contradict any other"
+                "the frames are locally processed: they contradict this response by {found:.2} stops, and no other response fits them"
             ),
             false => {
-                format!("the frames contradict this response by {found:.2} stops; one recovered from them by {own:.2}")
+                format!(
+                    "the frames contradict this response by {found:.2} stops, but a response recovered from them by only {own:.2}"
+                )
             }
         };
         Warning::ResponseDoubtful { path: path.to_owned(), detail }

@@ -70,8 +70,9 @@ pub(crate) fn read(text: &str) -> Result<ResponseCurve, String> {
     };
     let mut g = [[0.0; CODES]; 3];
     for ((g, x), name) in g.iter_mut().zip(&channels).zip(["red", "green", "blue"]) {
-        *g = logarithms(x)
-            .ok_or_else(|| format!("the response of {name} is not positive and increasing from code to code"))?;
+        *g = logarithms(x).ok_or_else(|| {
+            format!("the response of {name} is not positive and increasing from one pixel value to the next")
+        })?;
     }
     let mid = g.iter().map(|g| g[MID]).sum::<f64>() / 3.0;
     ResponseCurve::new(g.map(|g| g.map(|v| v - mid)))

@@ -93,11 +93,11 @@ impl Loss {
         let most = self.channel_stops.into_iter().fold(self.luminance_stops, f64::max);
         if most > RESIDUAL {
             let reason = format!(
-                "the format cannot represent this curve: radiance merged with it would be {off}; save it as .json"
+                "the format cannot represent this curve: radiance merged with the file would be {off}; save the response as .json"
             );
             return Err(Error::ResponseFile { path: path.to_owned(), reason });
         }
-        let detail = format!("radiance merged with it is {off}; .json saves the curve exactly");
+        let detail = format!("radiance merged with this file is {off}; .json saves the curve exactly");
         Ok((most > LOSS).then(|| Warning::OutOfRange { path: path.to_owned(), detail }))
     }
 }
@@ -227,8 +227,8 @@ impl SavedResponse {
             <[f64; CODES]>::try_from(values).map_err(wanted)
         };
         let g = [channel("red", red)?, channel("green", green)?, channel("blue", blue)?];
-        let curve =
-            ResponseCurve::new(g).ok_or_else(|| wrong("its values do not increase from code to code".to_owned()))?;
+        let curve = ResponseCurve::new(g)
+            .ok_or_else(|| wrong("its values do not increase from one pixel value to the next".to_owned()))?;
         let black = |_: ()| wrong("a black_code is not in 0..128".to_owned());
         Ok(SavedResponse {
             make: document.camera_make,

@@ -70,8 +70,8 @@ fn rising(channels: &mut [[f64; CODES]; 3]) -> Result<(), String> {
         let first = (0..CODES - 1).rev().take_while(|&z| sound(z)).last();
         // hdrgen does not use the dark end. Only a fault in the codes from 64 on makes the curve invalid.
         let first = first.filter(|&z| z < MID / 2);
-        let first =
-            first.ok_or_else(|| format!("the polynomial of {name} does not increase from code {} to 255", MID / 2))?;
+        let first = first
+            .ok_or_else(|| format!("the polynomial of {name} does not increase from pixel value {} to 255", MID / 2))?;
         let (value, place) = (x[first], first as f64 + 0.5);
         (0..first).for_each(|z| x[z] = value * (z as f64 + 0.5) / place);
     }

@@ -113,7 +113,7 @@ pub fn check(samples: &[Sample]) -> Fitted<()> {
         ));
     }
     if codes.1 - codes.0 < SPAN {
-        return Err(format!("flat places have only codes from {:.0} to {:.0}", codes.0, codes.1));
+        return Err(format!("flat places have only pixel values from {:.0} to {:.0}", codes.0, codes.1));
     }
     Ok(())
 }
@@ -124,9 +124,9 @@ fn check_plausible(g: &[f64; CODES], fit: &Fit) -> Fitted<()> {
     let (codes, rise) = FLAT;
     let flat = (16..=240 - codes).find(|&z| stops(g[z + codes] - g[z]) < rise);
     if let Some(z) = flat {
-        Err(format!("the recovered response does not rise from code value {z} to code {}", z + codes))
+        Err(format!("the recovered response does not rise from pixel value {z} to {}", z + codes))
     } else if !(CONTRAST.0..=CONTRAST.1).contains(&contrast) {
-        Err(format!("the recovered curve has {contrast:.1} stops from code 16 to code 240"))
+        Err(format!("the recovered curve has {contrast:.1} stops from pixel value 16 to 240"))
     } else if fit.residual_stops.is_nan() || fit.residual_stops > RESIDUAL {
         Err(format!("the frames contradict each other by {:.2} stops", fit.residual_stops))
     } else {
@@ -141,7 +141,7 @@ pub fn determined(condition: f64) -> Fitted<()> {
 
 /// Returns the reason why there is no solution.
 pub fn undetermined(condition: f64) -> String {
-    format!("the frames do not determine the curve (condition {condition:.0e})")
+    format!("the curve cannot be calculated from the frames (condition {condition:.0e})")
 }
 
 /// Returns the two neighbours of a code between integers, with their weights.
@@ -274,7 +274,7 @@ mod tests {
         let samples = scene(400, &[-2.0, 0.0, 2.0], |x| x.sqrt());
         let n = samples.len();
         assert!(finish(&samples, found(|_| f64::NAN, n)).unwrap_err().contains("not finite"));
-        assert!(finish(&samples, found(|z| 0.2 * z as f64, n)).unwrap_err().contains("stops from code 16"));
+        assert!(finish(&samples, found(|z| 0.2 * z as f64, n)).unwrap_err().contains("stops from pixel value 16"));
         // The curve falls from code 110 to 200, as it does if samples contradict each other.
         let falls =
             found(|z| 2.0 * libm::log(if (110..=200).contains(&z) { 220.0 - z as f64 } else { z as f64 }.max(0.1)), n);

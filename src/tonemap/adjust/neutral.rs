@@ -115,7 +115,7 @@ impl Spot {
     /// [`Error::Option`] when the spot is black, clipped, or too colourful to be grey in any light.
     pub fn light(&self, primaries: &Primaries, (black, white): (f32, f32)) -> Result<Light> {
         let refused =
-            |why: &str| refused(self.at, &format!("{why}; choose one that is grey and neither black nor white"));
+            |why: &str| refused(self.at, &format!("{why}; choose a spot that is grey and neither black nor white"));
         let half = self.seen.len() / 2;
         let count = |is: &dyn Fn(&[f32; 3]) -> bool| self.seen.iter().filter(|pixel| is(pixel)).count();
         if count(&|pixel| !pixel.iter().all(|&v| v > black && v.is_finite())) > half {

@@ -70,11 +70,11 @@ impl Colours {
 #[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
 #[strum(serialize_all = "kebab-case")]
 pub enum Depth {
-    /// Code values 0 to 255.
+    /// Pixel values 0 to 255.
     #[default]
     #[strum(serialize = "8")]
     Eight,
-    /// Code values 0 to 65535, for further editing.
+    /// Pixel values 0 to 65535, for further editing.
     #[strum(serialize = "16")]
     Sixteen,
 }

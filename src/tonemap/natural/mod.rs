@@ -59,7 +59,7 @@ impl Options {
                 "brightness",
                 (0.1, 0.9),
                 &mut self.brightness,
-                "mean code value of the picture, 0 to 1",
+                "mean pixel value of the picture, 0 to 1",
             ),
             Setting::number(
                 "contrast",

@@ -25,16 +25,16 @@ pub use writer::Writer;
 #[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
 #[strum(serialize_all = "kebab-case")]
 pub enum Compression {
-    /// Wavelet and Huffman coding of 32 rows: the smallest for photographs.
+    /// Wavelet and Huffman coding of 32 rows: the smallest files for photographs.
     #[default]
     Piz,
-    /// Deflate of 16 rows.
+    /// Deflate of 16 rows at a time.
     #[strum(serialize = "zip")]
     Zip16,
-    /// Deflate of single rows.
+    /// Deflate of one row at a time.
     #[strum(serialize = "zips")]
     Zip1,
-    /// No compression; about twice the size of piz.
+    /// No compression: about twice the size of piz.
     None,
 }
 

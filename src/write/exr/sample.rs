@@ -10,12 +10,12 @@ use crate::simd::{Loops, vectorised};
 #[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
 #[strum(serialize_all = "kebab-case")]
 pub enum Sample {
-    /// Half floats, or floats if the range or precision of halves is not enough for the radiance.
+    /// half, or float if the radiance needs more range or precision.
     #[default]
     Auto,
-    /// 16 bits: values up to 65504, rounded by at most 1/2048 of the value (from 6e-5 up).
+    /// 16-bit floats: values up to 65504, rounded by at most 1/2048 of the value (from 6e-5 up).
     Half,
-    /// 32 bits: exactly as merged.
+    /// 32-bit floats: exactly as merged.
     Float,
 }
 

@@ -39,7 +39,7 @@ pub enum Resolution {
     /// As large as the picture: contains the radiance of every pixel.
     #[default]
     Full,
-    /// Half the width and height; a smaller file, but the radiance is blurred at edges.
+    /// Half the width and height: a smaller file, but the radiance is blurred at edges.
     Half,
     /// No gain map: an ordinary JPEG.
     None,

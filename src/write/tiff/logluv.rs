@@ -102,7 +102,7 @@ impl RowWriter<[f32; 3]> for Writer {
         self.bands.complete().map_err(|e| self.strips.file.error(e))?;
         let (low, high) = self.depth.range();
         let what = format!(
-            "of luminance are outside of {:.2e} to {:.3e} and were limited to 0 or the largest; logluv32 and float have a larger range",
+            "of luminance are outside of {:.2e} to {:.3e} and were limited to 0 or the largest value; logluv32 and float have a larger range",
             low / self.scale,
             high / self.scale
         );

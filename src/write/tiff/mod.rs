@@ -32,10 +32,10 @@ pub enum Encoding {
     /// 32-bit floats: exactly as merged.
     #[default]
     Float,
-    /// LogLuv of 24 bits: 16 stops in steps of 1.1 %.
+    /// LogLuv, 24 bits: 16 stops in steps of 1.1 %. Smaller files, read by fewer programs.
     #[strum(serialize = "logluv24")]
     LogLuv24,
-    /// LogLuv of 32 bits: 128 stops in steps of 0.27 %.
+    /// LogLuv, 32 bits: 128 stops in steps of 0.27 %. Smaller files, read by fewer programs.
     #[strum(serialize = "logluv32")]
     LogLuv32,
 }

@@ -123,7 +123,7 @@ fn summary_of_somebody_else_is_kept_and_the_batch_fails() {
                 said.contains(&format!("{name}: cannot be written")) && said.contains("did not write it"),
                 "{said}"
             );
-            assert!(!said.contains("the space left"), "{said}");
+            assert!(!said.contains("the free disk space"), "{said}");
             assert_eq!(folder.bytes(name), text.as_bytes());
             assert_eq!(fs::read_dir(folder.at("out")).unwrap().count(), 1, "{line}: work was done");
         }

@@ -97,7 +97,7 @@ fn full_disk_names_the_file_and_the_remedy() {
         let run = on_disk(&folder, size, &format!("{{ $H {line}; echo $?; ls -A full; }}"));
         assert_eq!(run.stdout, "1\n", "{line}: {run:?}");
         let is_reported =
-            run.stderr.contains("full/") && run.stderr.contains("free space there, or write to another disk");
+            run.stderr.contains("full/") && run.stderr.contains("delete some files there, or write to another disk");
         assert!(is_reported && run.stderr.lines().count() == 1, "{line}: {}", run.stderr);
     }
     let line =

@@ -160,7 +160,7 @@ impl Layout {
             if self.progressive { sent.iter().all(|&c| c == 1) } else { sent[0] > 0 }
         };
         if self.sent.is_empty() || !self.sent.iter().all(|(_, sent)| whole(sent)) {
-            return Err("scans are missing (truncated); copy the file again".into());
+            return Err("it is incomplete: some of its JPEG scans are missing (truncated); copy the file again".into());
         }
         Ok(())
     }

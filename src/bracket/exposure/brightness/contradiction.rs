@@ -55,7 +55,7 @@ fn among(which: &[usize], written: &[f64], pairs: &Pairs) -> Option<String> {
     let all: Vec<f64> = order.iter().map(|&i| written[i]).collect();
     if spread(&all) <= ALIKE {
         let seen = pairs.spread(which)?;
-        return (seen > 0.6).then(|| format!("all say the same, but the pictures differ by about {seen:.1} EV"));
+        return (seen > 0.6).then(|| format!("all exposures are equal, but the pictures differ by about {seen:.1} EV"));
     }
     order.windows(2).find_map(|pair| {
         let said = written[pair[1]] - written[pair[0]];

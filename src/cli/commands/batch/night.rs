@@ -144,7 +144,7 @@ impl Board {
 fn full(job: &Job) -> String {
     let folder = job.report.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     format!(
-        "hdralign: {}: the disk is full, so no further bracket is started that writes there; free space and run the command again (finished brackets are kept)",
+        "hdralign: {}: the disk is full, so no further bracket is started for this disk; delete some files and run the command again (finished brackets are kept)",
         folder.display()
     )
 }
@@ -243,7 +243,7 @@ fn listed(label: &str, texts: impl ExactSizeIterator<Item = String>) -> Vec<Stri
     let more = texts.len().saturating_sub(LISTED);
     let mut lines: Vec<String> = texts.take(LISTED).map(|text| format!("{label:<11}{text}")).collect();
     if more > 0 {
-        lines.push(format!("{label:<11}and {more} more; the summary has all"));
+        lines.push(format!("{label:<11}and {more} more; batch.json lists all"));
     }
     lines
 }
@@ -275,7 +275,7 @@ fn lines(summary: &Summary, files: Option<&[PathBuf; 2]>, left_over: Option<&Lef
         lines.extend(listed("unreadable", left_over.unreadable.iter().map(why)));
         if left_over.count > 0 {
             let count = many(left_over.count, "photograph");
-            lines.push(format!("{:<11}{count}; the summary and --dry-run list the reasons", "no bracket"));
+            lines.push(format!("{:<11}{count}; batch.json and --dry-run list the reasons", "no bracket"));
         }
     }
     if let Some([report, table]) = files {
