@@ -4,9 +4,10 @@
 //! and encoding the same results with the library's readers and writers, on one and on two threads. It prints the medians
 //! of the wall time and their ratio.
 //!
-//! The frames are those of `testdata/window`, enlarged to keep the motion of a hand-held camera: mirrored tiles would
-//! move against each other, and aligning them takes many times as long. They are smoother than photographs, which makes
-//! the codecs faster. To use other photographs, list them in HDRALIGN_BENCH_IMAGES, separated by spaces.
+//! The frames are those of `testdata/window`, enlarged. They are not tiled with mirror images, because mirrored tiles
+//! move against each other, unlike the frames of a hand-held camera, and take many times as long to align. Enlarged
+//! frames are smoother than photographs, which makes the codecs faster. To use other photographs, list them in
+//! HDRALIGN_BENCH_IMAGES, separated by spaces.
 
 use hdralign::bracket::{LoadOptions, load};
 use hdralign::pipeline::{self, Options, Outcome};
@@ -20,7 +21,7 @@ use std::time::Instant;
 
 /// Number of measured rounds, after one to warm up.
 const ROUNDS: usize = 7;
-/// Numbers of threads.
+/// Numbers of threads that are measured.
 const THREADS: [usize; 2] = [1, 2];
 
 /// Returns frame `i` of `testdata/window` at four times its width and height, as a JPEG with its EXIF data.

@@ -78,7 +78,7 @@ fn mirrored_to(plane: &Plane<u8>, (width, height): (usize, usize), left: usize) 
     })
 }
 
-/// The bitmap search from two grey planes to the shift; `benches/mtb_beside_opencv.py` compares it with
+/// Measures the bitmap search, from two grey planes to the shift; `benches/mtb_beside_opencv.py` compares it with
 /// `cv2.AlignMTB`.
 fn bitmaps(c: &mut Criterion) {
     let bracket = small();
@@ -151,7 +151,7 @@ fn alignment(c: &mut Criterion) {
 }
 
 fn features(c: &mut Criterion) {
-    // At the pyramid level at which features are detected.
+    // Measured at the pyramid level at which the alignment detects features.
     let bracket = small();
     let [first, second] = [2, 3].map(|i| GreyPyramid::new(bracket.frames()[i].grey().expect("in memory")));
     let options = SiftOptions::default();
@@ -162,7 +162,7 @@ fn features(c: &mut Criterion) {
     // Without descriptors: only the scale space and its extrema.
     let undescribed = SiftOptions { max_keypoints: 0, ..options.clone() };
     group.bench_function("sift detect", |b| b.iter(|| detect(black_box(level), &undescribed)));
-    // The same settings as for bitmaps.
+    // These are the settings that are used for bitmaps.
     let single = SiftOptions { double: false, ..options.clone() };
     group.bench_function("sift not doubled", |b| b.iter(|| detect(black_box(level), &single)));
     let sets: [Features; 2] = [detect(level, &options), detect(second.level(1), &options)];
@@ -228,14 +228,14 @@ fn radiance(c: &mut Criterion) {
     ] {
         let paths: Vec<PathBuf> = names.iter().map(|name| folder.path().join(name)).collect();
         let options = write::Options { exr, ..write::Options::default() };
-        // The files are removed when dropped, so this measures the encoding and the system's buffers.
+        // The files are removed when they are dropped, so this measures encoding and writing to the system's buffers.
         group.bench_function(format!("write {what}"), |b| {
             b.iter(|| write::write(&paths, black_box(&map), &picture, &metadata, &options));
         });
     }
 }
 
-/// Decoding, and writing and reading of radiance maps in each encoding.
+/// Measures decoding of photographs, and writing and reading of radiance maps in each encoding.
 fn files(c: &mut Criterion) {
     let images = paths();
     let mut group = c.benchmark_group("files");
@@ -270,7 +270,8 @@ fn files(c: &mut Criterion) {
     }
 }
 
-/// From photographs to files, on one and on two threads; `benches/codecs.rs` compares larger ones with their codecs.
+/// Measures the pipeline from photographs to files, on one and on two threads; `benches/codecs.rs` compares the time
+/// for larger photographs with that of the codecs.
 fn line(c: &mut Criterion) {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let images = paths();

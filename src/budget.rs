@@ -2,9 +2,9 @@
 //!
 //! In: the limit, the stages, and the number and size of the frames. Out: whether the frames stay in memory, how many
 //! are decoded at a time, the number of threads, and how many bytes are merged at a time; or an error if the limit is
-//! too low. Cost: none. Results do not depend on it.
+//! too low. Cost: none. The results of a run do not depend on the budget.
 //!
-//! All runs and all jobs of a batch are planned by this module. A run takes at most
+//! This module plans all runs and all jobs of a batch. A run takes at most
 //!
 //! ```text
 //! MemoryLimit::PROGRAM + held + threads * thread()
@@ -17,25 +17,25 @@
 //! | loading | all frames, buffers of the decoders | buffers of as many decoders as fit |
 //! | alignment | all frames, all grey pyramids, features of a frame per thread | all pyramids, one frame or its features |
 //! | deghosting | all frames, cells | one frame, cells |
-//! | merging | all frames, the radiance map | half of the rest, for rows of all frames and of radiance |
-//! | tone mapping | the same, the overview | the overview, rows of radiance |
-//! | fusion | the same, its pyramids | its pyramids, one frame |
+//! | merging | all frames, the radiance map | rows of all frames and of radiance, in half of the remaining memory |
+//! | tone mapping | all frames, the radiance map, the overview | the overview, rows of radiance |
+//! | fusion | all frames, the radiance map, pyramids of the fusion | pyramids of the fusion, one frame |
 //! | inspection | as alignment with all pyramid levels, drawings | the same |
 //!
-//! Frames stay in memory if that fits with all threads. Otherwise they are on disk, and as many threads are used as fit.
-//! If even one thread and one frame at a time do not fit, the run is refused.
+//! Frames stay in memory if that fits with all threads. Otherwise they are on disk, and as many threads are used as
+//! fit. If even one thread and one frame at a time do not fit, the run is refused.
 
 use crate::error::{Error, Result};
 use crate::limits::Limits;
 use crate::scratch::MemoryLimit;
 
-/// Bytes per thread for any size of the frames: tables, points and patches of a comparison, and memory that the allocator
-/// keeps. Measured with nine frames of 12 MP on 1 to 16 threads.
+/// Bytes per thread for any size of the frames: tables, points and patches of a comparison, and memory that the
+/// allocator keeps. Measured with nine frames of 12 MP on 1 to 16 threads.
 const THREAD: u64 = 4 << 20;
 /// Bytes of a scale space per pixel: six floats; all octaves together have 4/3 of the pixels of the first.
 const SCALE_SPACE: u64 = 4 * 6 * 4 / 3;
-/// Bytes per thread and column: bands of 64 rows of radiance, of display values and of encoded data. Measured in the same
-/// way.
+/// Bytes per thread and column: bands of 64 rows of radiance, of display values and of encoded data. Measured as
+/// [`THREAD`].
 const COLUMN: u64 = 64 * 20;
 /// Bytes per cell of deghosting: values of two frames, intermediate results, and values where the reference is clipped.
 const CELL: u64 = 156;
@@ -45,29 +45,30 @@ const AVERAGED: u64 = 48;
 const RADIANCE: u64 = 12;
 /// Bytes per cell of the overview during tone mapping. Measured for `mantiuk06`, which takes the most.
 const TONES: u64 = 48;
-/// Three times the bytes of fusion per pixel, for any number of frames: floats of the sum of weights (4), of the pyramid
-/// of a frame's weight, with 4/3 of the pixels (16 / 3), of three channels of a frame (12), and of the three pyramids of
-/// the result (16).
+/// Three times the bytes of fusion per pixel (three times, to be an integer), for any number of frames: floats of the
+/// sum of weights (4), of the pyramid of a frame's weight, with 4/3 of the pixels (16 / 3), of three channels of a
+/// frame (12), and of the three pyramids of the result (16).
 const FUSION_3: u64 = 12 + 16 + 36 + 48;
 /// Three times the bytes per pixel for the pyramid of a channel (16 / 3); up to three are computed in parallel.
 const CHANNEL_3: u64 = 16;
-/// Bytes per drawing of `inspect`: at most 1600 x 1600 pixels, with four bytes to draw, three for the file, and the PNG.
+/// Bytes per drawing of `inspect`: at most 1600 x 1600 pixels, with four bytes to draw, three for the file, and the
+/// PNG.
 const SHEET: u64 = 24 << 20;
-/// Largest number of drawings at a time, one per thread: those of a frame.
+/// Largest number of drawings computed at a time, one per thread: a frame has this number.
 const SHEETS: u64 = 6;
 
 /// The stages of a run that determine its memory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct Stages {
-    /// Features are detected, in some frames or in all.
+    /// Whether features are detected, in some frames or in all.
     pub features: bool,
-    /// Frames are merged to radiance, and it is tone-mapped.
+    /// Whether frames are merged to radiance, which is then tone-mapped.
     pub merging: bool,
-    /// Ghosts are removed.
+    /// Whether ghosts are removed.
     pub deghosting: bool,
-    /// Frames are fused.
+    /// Whether frames are fused.
     pub fusing: bool,
-    /// `inspect` draws the data of the alignment.
+    /// Whether `inspect` draws the data of the alignment.
     pub inspecting: bool,
 }
 
@@ -119,7 +120,8 @@ impl Demand {
         SCALE_SPACE * pixels
     }
 
-    /// Bytes of a grey pyramid; each level has a quarter of the pixels of the previous one.
+    /// Bytes of a grey pyramid, without the full size of a large frame; each level has a quarter of the pixels of the
+    /// previous one.
     fn pyramid(&self) -> u64 {
         self.pixels() * if self.pixels() <= Demand::WHOLE_PYRAMID { 4 } else { 1 } / 3
     }
@@ -136,29 +138,31 @@ impl Demand {
         if self.stages.deghosting { held + self.frames as u64 * self.cells() } else { 0 }
     }
 
-    /// Bytes of alignment: the pyramids of all frames, and the largest of the comparison by `threads` threads, of `whole`
-    /// bytes of a frame, and of the features of `detecting` frames at a time.
+    /// Returns the bytes of alignment: the pyramids of all frames, and the largest of three numbers: those of the
+    /// comparison by `threads` threads, `whole` bytes of a frame, and those of the features of `detecting` frames at a
+    /// time.
     ///
-    /// The grey image is doubled before detection, bitmaps are not, and each of them is processed by one thread.
+    /// Before detection, the grey image is doubled, but not the bitmaps. Each bitmap is processed by one thread.
     fn aligning(&self, threads: u64, whole: u64, detecting: u64) -> u64 {
         let all = self.frames as u64;
         let pyramids = all * self.pyramid();
-        // On each side of the reference in exposure, an aligned neighbour is resampled to the reference's grid in full size.
+        // On each side of the reference in exposure, an aligned neighbour is resampled to the reference's grid in full
+        // size.
         let sides = detecting.min(2);
         let resampled = sides * self.pixels();
         let features = sides * self.pyramid() + resampled.max((3 * detecting + threads) * self.scale_space());
         let features = if self.stages.features { features } else { 0 };
         let beside = whole.max(threads * self.scale_space()).max(features);
         if self.stages.inspecting {
-            // All levels, and two bitmaps.
+            // All levels of the pyramid, and two bitmaps.
             let of_frame = self.pixels() * 4 / 3 + self.pixels() / 4;
             return all * of_frame + beside.max(threads.min(SHEETS) * SHEET);
         }
         pyramids + beside
     }
 
-    /// Bytes of merging and tone mapping on `threads` threads, without rows: `pixel` bytes per pixel of radiance, and for
-    /// fusion `whole` bytes of a frame.
+    /// Returns the bytes of merging and tone mapping on `threads` threads, without the rows of [`Budget::slab`]:
+    /// `pixel` bytes per pixel of radiance, and for fusion `whole` bytes of a frame.
     fn merging(&self, threads: u64, pixel: u64, whole: u64) -> u64 {
         let beside = match self.stages.fusing {
             true => (FUSION_3 + CHANNEL_3 * threads.min(3)) * self.pixels() / 3 + whole,
@@ -194,7 +198,7 @@ impl Demand {
     }
 }
 
-/// The number of threads, at most `threads`, that fit for tone mapping a radiance map of `size` pixels.
+/// Returns the number of threads, at most `threads`, that fit for tone mapping a radiance map of `size` pixels.
 ///
 /// # Errors
 /// The reason and what to do, if not even one thread fits.
@@ -234,25 +238,25 @@ impl Budget {
         Err(Error::Option { option: "--max-memory", reason })
     }
 
-    /// Bytes of the run with all frames in memory, on `threads` threads; none if they do not fit.
+    /// Returns the bytes of the run with all frames in memory, on `threads` threads; none if they do not fit.
     pub fn in_memory(&self, threads: usize) -> Option<u64> {
         Some(self.demand.in_memory(threads)).filter(|&held| held <= self.available)
     }
 
-    /// Number of frames to decode at a time; `stay` is whether all frames stay in memory.
+    /// Returns the number of frames to decode at a time; `stay`: whether all frames stay in memory.
     pub fn decoders(&self, stay: bool) -> usize {
         let Demand { frames, frame, decoding, .. } = self.demand;
         let kept = if stay { frames as u64 * frame } else { 0 };
         usize::try_from(self.available.saturating_sub(kept) / (THREAD + decoding)).unwrap_or(usize::MAX).max(1)
     }
 
-    /// The number of threads, at most `threads`, that fit if the frames are on disk.
+    /// Returns the number of threads, at most `threads`, that fit if the frames are on disk.
     pub fn threads(&self, threads: usize) -> usize {
         (1..=threads).rev().find(|&threads| self.demand.on_disk(threads) <= self.available).unwrap_or(1)
     }
 
-    /// Bytes of frames and radiance to merge at a time if the frames are on disk: half of the rest, because the allocator
-    /// may keep memory of the previous slab.
+    /// Returns the bytes of frames and radiance to merge at a time (a slab) if the frames are on disk: half of what the
+    /// threads leave, because the allocator may keep memory of the previous slab.
     pub fn slab(&self, threads: usize) -> u64 {
         self.available.saturating_sub(self.demand.thread() * threads as u64) / 2
     }

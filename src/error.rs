@@ -1,7 +1,7 @@
 //! Errors and warnings.
 //!
-//! An [`Error`] stops a run; its text has the file or option, what is wrong and what to do. A [`Warning`] is part of the
-//! report; warnings that [degrade](Warning::degrades) the result make `--strict` exit with 3.
+//! An [`Error`] stops a run; its text names the file or option, what is wrong and what to do. A [`Warning`] is part of
+//! the report; with `--strict`, warnings that [degrade](Warning::degrades) the result change the exit code to 3.
 
 mod warning;
 
@@ -79,17 +79,17 @@ pub enum Error {
     KindsDiffer {
         /// The expected file.
         path: PathBuf,
-        /// Its content, in words.
+        /// What the expected file contains, in words.
         kind: &'static str,
         /// The actual file.
         other: PathBuf,
-        /// Its content, in words.
+        /// What the actual file contains, in words.
         other_kind: &'static str,
     },
-    /// The bracket has less than two frames.
+    /// The bracket has fewer than two frames.
     #[error("a bracket needs at least two photographs, {given} given; name all of its photographs")]
     TooFewFrames {
-        /// The number of given files.
+        /// Number of files that were given.
         given: usize,
     },
     /// The frames have different sizes.
@@ -98,7 +98,7 @@ pub enum Error {
     SizeMismatch {
         /// The frame that differs.
         path: PathBuf,
-        /// Its width and height, in pixels.
+        /// Width and height of the frame that differs, in pixels.
         size: (usize, usize),
         /// The first frame.
         other: PathBuf,
@@ -108,9 +108,9 @@ pub enum Error {
     /// The same file was given more than once, perhaps under two names.
     #[error("{}: is the same file as {}; give each photograph once", path.display(), other.display())]
     SameFile {
-        /// The later name.
+        /// The path that was given later.
         path: PathBuf,
-        /// The earlier name.
+        /// The path that was given earlier.
         other: PathBuf,
     },
     /// The exposure is neither given nor in the file.
@@ -155,7 +155,7 @@ pub enum Error {
         /// The file.
         path: PathBuf,
     },
-    /// A result of other photographs has the same name.
+    /// An existing result was made from other photographs and has the name of the new one.
     #[error(
         "{}: was made from other photographs with the same names; choose another folder or unique names (for example {{date}} and {{time}} in `--name`), or replace it with --force",
         path.display()
@@ -202,7 +202,7 @@ pub enum Error {
         "{threads} threads could not be started: {source}; give fewer with --threads, or allow more (`ulimit -u`, `ulimit -v`)"
     )]
     Threads {
-        /// The requested number.
+        /// Number of threads that were requested.
         threads: usize,
         /// The error of the system.
         source: rayon::ThreadPoolBuildError,
@@ -213,12 +213,12 @@ pub enum Error {
     /// The output was abandoned by [`abandon`](crate::write::abandon).
     #[error("{}: was not written, because the run was interrupted; start it again", path.display())]
     Abandoned {
-        /// The file, or the first of the files to commit together.
+        /// The file, or the first of several files that are committed together.
         path: PathBuf,
     },
-    /// The scratch file for values beyond the memory limit could not be created, written or read.
+    /// The scratch file, for data that do not fit into the memory limit, could not be created, written or read.
     #[error(
-        "{}: the scratch file cannot be used: {source}; free space there, name another folder with --scratch, or raise the memory limit with --max-memory",
+        "{}: the scratch file cannot be used: {source}; delete some files there, name another folder with --scratch, or raise the memory limit with --max-memory",
         folder.display()
     )]
     Scratch {
@@ -240,11 +240,11 @@ pub enum Error {
     NoBracket {
         /// The first of the folders.
         path: PathBuf,
-        /// What was found.
+        /// What was found instead, in words.
         reason: String,
     },
     /// A plan of batch jobs is invalid.
-    #[error("{}: line {line}: is not a valid plan: {reason}; create one with `hdralign batch --plan FOLDER`", path.display())]
+    #[error("{}: line {line}: is not a valid plan: {reason}; create one with `hdralign batch FOLDER --plan`", path.display())]
     PlanFile {
         /// The file.
         path: PathBuf,
@@ -258,7 +258,7 @@ pub enum Error {
     NoResponse {
         /// The first photograph.
         path: PathBuf,
-        /// Why not.
+        /// Why the response cannot be recovered.
         reason: String,
     },
     /// The frames are locally processed by the camera, so they have no response.
@@ -286,13 +286,13 @@ pub enum Error {
 }
 
 impl Error {
-    /// Whether a file could not be written because the disk is full; further files would fail as well.
+    /// Returns whether a file could not be written because the disk is full, so that further files would fail as well.
     pub fn is_disk_full(&self) -> bool {
         let is_space = |kind| matches!(kind, io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded);
         matches!(self, Error::Write { source, .. } if is_space(source.kind()))
     }
 
-    /// Whether the command line is wrong, rather than a file or the machine: exit code 2 instead of 1.
+    /// Returns whether the command line is wrong, not a file or the machine: the exit code is then 2 instead of 1.
     pub fn is_usage(&self) -> bool {
         matches!(
             self,
@@ -305,9 +305,9 @@ impl Error {
     }
 }
 
-/// What to do if a file cannot be accessed: `advice`, unless the kind of error allows more specific advice.
+/// Returns what to do if a file cannot be accessed: `advice`, unless the kind of error allows more specific advice.
 ///
-/// Empty if the program itself refused the file, because that reason includes what to do.
+/// The text is empty if the program itself refused the file, because its reason already includes what to do.
 fn remedy(source: &io::Error, advice: &'static str) -> &'static str {
     let has_advice = matches!(source.kind(), io::ErrorKind::InvalidInput | io::ErrorKind::IsADirectory);
     match source.raw_os_error() {
@@ -318,27 +318,29 @@ fn remedy(source: &io::Error, advice: &'static str) -> &'static str {
     }
 }
 
-/// What to do if a file cannot be written.
+/// Returns what to do if a file cannot be written.
 fn write_remedy(source: &io::Error) -> &'static str {
     use io::ErrorKind::{AlreadyExists, FileTooLarge, InvalidFilename, IsADirectory, NotADirectory};
     use io::ErrorKind::{QuotaExceeded, ReadOnlyFilesystem, StorageFull};
     match source.kind() {
-        StorageFull => "; free space there, or write to another disk",
-        QuotaExceeded => "; the quota is used up: free space there, or write to another disk",
+        StorageFull => "; delete some files there, or write to another disk",
+        QuotaExceeded => "; the quota is used up: delete some files there, or write to another disk",
         ReadOnlyFilesystem => "; write to a folder on another disk, or mount this one for writing",
         FileTooLarge => "; allow larger files (`ulimit -f`), or write to a file system that holds them",
         InvalidFilename => "; give it a shorter name",
-        // Only for folders; existing files are `Error::OutputExists`.
+        // These errors concern only folders; an existing output is reported as `Error::OutputExists`.
         AlreadyExists | NotADirectory => {
             "; a file has the name of this folder: choose another folder, or move the file"
         }
-        IsADirectory if source.raw_os_error().is_some() => "; a folder has that name: move it away, or choose another",
-        _ => remedy(source, "; check the folder, its permissions and the space left"),
+        IsADirectory if source.raw_os_error().is_some() => {
+            "; a folder has that name: move it away, or choose another name"
+        }
+        _ => remedy(source, "; check the folder, its permissions and the free disk space"),
     }
 }
 
-/// EMFILE on Linux, macOS and the BSDs.
+/// The error number EMFILE (too many open files) on Linux, macOS and the BSDs.
 const TOO_MANY_OPEN: i32 = 24;
 
-/// EIO on Linux, macOS and the BSDs.
+/// The error number EIO (input/output error) on Linux, macOS and the BSDs.
 const INPUT_OUTPUT: i32 = 5;

@@ -15,7 +15,7 @@ pub(crate) const MOST_OF_A_TEXT: u64 = 64 << 20;
 /// Largest size of a plan, in bytes: a job takes about 2 kB.
 pub(crate) const MOST_OF_A_PLAN: u64 = 1 << 30;
 
-/// All bytes of the file `path`, at most `most`.
+/// Reads all bytes of the file `path`, at most `most`.
 ///
 /// # Errors
 /// [`Error::Read`], also for folders, larger files and if there is not enough memory; [`Error::Changed`].
@@ -23,10 +23,11 @@ pub(crate) fn whole(path: &Path, most: u64) -> Result<Vec<u8>> {
     whole_if(path, most, |_| Ok(()))
 }
 
-/// Number of bytes from which a format is recognised.
+/// Number of bytes at the beginning of a file by which its format is recognised.
 const BEGIN: u64 = 512;
 
-/// As [`whole`], if `is_wanted` accepts the first bytes; otherwise no more is read, as the file may be endless.
+/// As [`whole`], if `is_wanted` accepts the first bytes; otherwise nothing more is read, because the file may be
+/// endless.
 ///
 /// # Errors
 /// Those of [`whole`] and of `is_wanted`.
@@ -93,7 +94,8 @@ pub(crate) fn open_regular(path: &Path) -> Result<File> {
     open(path)
 }
 
-/// An error whose reason includes what to do; [`Error::Read`] adds no advice to this kind.
+/// Returns an error whose `reason` includes what to do; [`Error::Read`] adds no advice to errors of the kind
+/// `InvalidInput`.
 fn refused(path: &Path, reason: String) -> Error {
     Error::Read { path: path.to_owned(), source: io::Error::new(io::ErrorKind::InvalidInput, reason) }
 }
@@ -193,7 +195,7 @@ mod tests {
         assert!(unwanted.is_err());
     }
 
-    /// With a sparse file, which takes no space on the disk.
+    /// The files are sparse, and so take no space on the disk.
     #[test]
     fn impossible_length_is_rejected_before_reading() {
         let dir = tempfile::tempdir().unwrap();
@@ -201,7 +203,7 @@ mod tests {
         File::create(&path).unwrap().set_len(1 << 40).unwrap();
         let error = whole(&path, 1 << 30).unwrap_err().to_string();
         assert!(error.contains("1099512 MB") && error.contains("1074 MB"), "{error}");
-        // Allowed, but not available on a usual machine.
+        // This size is allowed, but so much memory is not available on a usual machine.
         File::create(&path).unwrap().set_len(1 << 42).unwrap();
         if !crate::limits::is_available(1 << 42) {
             assert!(whole(&path, 1 << 50).unwrap_err().to_string().contains("does not provide that much memory"));
@@ -238,7 +240,7 @@ mod tests {
         let changes: [(&str, &dyn Fn()); 3] = [("append", &append), ("cut", &cut), ("overwrite", &overwrite)];
         for (name, change) in changes {
             std::fs::write(&path, vec![1; length]).unwrap();
-            // Two writes within one tick of the clock have the same time.
+            // The time is set back, because two writes within one tick of the clock have the same time.
             write().set_modified(SystemTime::now() - Duration::from_secs(60)).unwrap();
             let changed = |_: &[u8]| {
                 change();
@@ -246,7 +248,7 @@ mod tests {
             };
             assert!(matches!(whole_if(&path, 1 << 20, changed), Err(Error::Changed { .. })), "{name}");
         }
-        // A file that replaces the open one by name does not change it.
+        // Replacing the name by another file does not change the file that is open.
         std::fs::write(&path, vec![1; length]).unwrap();
         let replace = |_: &[u8]| {
             std::fs::write(dir.path().join("b"), [2]).unwrap();

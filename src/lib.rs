@@ -72,12 +72,12 @@
 //! - **Frame**: one photograph of a **bracket**, as pixel values of the camera. The other frames are aligned to the
 //!   **reference** frame.
 //! - **Pixel value** (code value) Z: the stored integer, 0..=255 or 0..=65535, encoded by the camera.
-//! - **Exposure** X = E Δt: the light collected by a pixel. **Relative exposure** of a frame: t · ISO / N². **EV**: log2
-//!   of the relative exposure.
+//! - **Exposure** X = E Δt: the light collected by a pixel. **Relative exposure** of a frame: t · ISO / N². **EV**:
+//!   log2 of the relative exposure.
 //! - **Response** g(Z) = ln X: the logarithmic exposure of a pixel value. **Radiance** E: exposure divided by time.
 //! - **Transform**: reference pixel → frame pixel. (0, 0) is the centre of the top-left pixel, x to the right, y down.
-//! - **MTB**: median threshold bitmap (Ward 2003), the pixels brighter than the median. The exclusion bitmap marks pixels
-//!   close to the median.
+//! - **MTB**: median threshold bitmap (Ward 2003), the pixels brighter than the median. The exclusion bitmap excludes
+//!   pixels close to the median from comparison.
 //!
 //! # Layers
 //!
@@ -88,8 +88,8 @@
 //!
 //! # Reproducible results
 //!
-//! Results do not depend on the number of threads, the order of the inputs or the processor: parallel work is a map over
-//! fixed bands folded in order, and exp, ln, pow and similar functions come from one portable implementation.
+//! Results do not depend on the number of threads, the order of the inputs or the processor: parallel work is a map
+//! over fixed bands folded in order, and exp, ln, pow and similar functions come from one portable implementation.
 //!
 //! # Stability
 //!

@@ -10,8 +10,8 @@ use std::hint::black_box;
 pub struct Limits {
     /// Largest number of pixels of an image. Default: [`MAX_PIXELS`](Self::MAX_PIXELS).
     pub max_pixels: u64,
-    /// Most memory for one file and its decoded image, and for what is computed from it, in bytes. Default: no limit but
-    /// that of the system.
+    /// Most memory for one file and its decoded image, and for what is computed from it, in bytes. Default: no limit
+    /// but that of the system.
     pub memory: Option<u64>,
 }
 
@@ -26,7 +26,8 @@ impl Default for Limits {
 const BESIDE: u64 = 16 << 20;
 
 impl Limits {
-    /// 500 million: more than any camera produces, including those that shift the sensor (400 million); 1.5 GB at 8 bits.
+    /// Default of [`max_pixels`](Self::max_pixels): 500 million, which is 1.5 GB at 8 bits. No camera produces more,
+    /// not even by shifting the sensor (400 million).
     pub const MAX_PIXELS: u64 = 500_000_000;
 
     /// Largest number of bytes per pixel in the formats that are read: four floats.
@@ -35,7 +36,7 @@ impl Limits {
     /// Checks the number of pixels.
     ///
     /// # Errors
-    /// The reason and what to do, if there are none or too many.
+    /// The reason and what to do, if there are no pixels or too many.
     pub(crate) fn check_size(&self, width: usize, height: usize) -> Result<(), String> {
         let pixels = width as u128 * height as u128;
         if pixels == 0 {
@@ -52,7 +53,7 @@ impl Limits {
         Ok(())
     }
 
-    /// These limits with `bytes` less memory, because they are in use already.
+    /// Returns these limits with less memory, because `bytes` of it are in use already.
     pub(crate) fn beside(&self, bytes: u64) -> Limits {
         Limits { memory: self.memory.map(|memory| memory.saturating_sub(bytes)), ..*self }
     }
@@ -95,7 +96,8 @@ impl Limits {
         Ok(())
     }
 
-    /// Largest size of a file, in bytes: that of its uncompressed pixels, and 256 MiB for other data of the camera.
+    /// Returns the largest size of a file, in bytes: that of uncompressed pixels, and 256 MiB for other data of the
+    /// camera.
     pub(crate) fn most_bytes(&self) -> u64 {
         let by_pixels = self.max_pixels.saturating_mul(Limits::BYTES_PER_PIXEL).saturating_add(256 << 20);
         self.memory.map_or(by_pixels, |memory| memory.min(by_pixels))
@@ -112,10 +114,11 @@ pub(crate) fn is_available(bytes: u64) -> bool {
     is_available
 }
 
-/// Largest expansion by deflate: 258 bytes from 2 bits (RFC 1951).
+/// Largest factor by which deflate expands data: 258 bytes from 2 bits (RFC 1951).
 pub(crate) const DEFLATE: u64 = 1032;
 
-/// Largest expansion by a TIFF compression (TIFF 6.0, sections 9 and 13); no bound for unknown ones.
+/// Returns the largest factor by which a TIFF compression expands data (TIFF 6.0, sections 9 and 13); no bound for
+/// unknown compressions.
 pub(crate) fn tiff_packing(compression: u32) -> u64 {
     match compression {
         1 => 1,
@@ -138,7 +141,7 @@ pub(crate) fn check_length(length: usize, bytes: u64, most: u64) -> Result<(), S
     Ok(())
 }
 
-/// An empty vector with capacity for `count` values.
+/// Returns an empty vector with capacity for `count` values.
 ///
 /// # Errors
 /// The reason and what to do, if the system does not provide the memory.
@@ -150,7 +153,7 @@ pub(crate) fn reserved<T>(count: usize) -> Result<Vec<T>, String> {
     }
 }
 
-/// A vector of `count` default values.
+/// Returns a vector of `count` default values.
 ///
 /// # Errors
 /// Those of [`reserved`].
@@ -160,7 +163,7 @@ pub(crate) fn room<T: Copy + Default>(count: usize) -> Result<Vec<T>, String> {
     Ok(values)
 }
 
-/// `count` in words, in whole millions from a million on.
+/// Returns `count` as text; from a million on, in whole millions.
 fn words(count: u64) -> String {
     if count >= 1_000_000 { format!("{} million", count / 1_000_000) } else { count.to_string() }
 }
@@ -192,7 +195,7 @@ mod tests {
             "{reason}"
         );
         assert!(reason.contains("--max-memory"), "{reason}");
-        // More than the address space.
+        // 2^60 bytes are more than the address space.
         let reason = Limits::default().check_memory((1, 1), 1 << 60).unwrap_err();
         assert!(reason.contains("the system does not provide"), "{reason}");
         assert!(is_available(1 << 20) && !is_available(u64::MAX));

@@ -1,7 +1,8 @@
 //! The pipeline: load, align, response, merge, tonemap, write, report.
 //!
-//! In: the paths of a bracket and [`Options`]. Out: the files asked for, and an [`Outcome`]. Cost: the sum of the stages; the
-//! report has the time of each. [`run`] is for photographs in files, [`merge_bracket`] for a bracket in memory.
+//! In: the paths of a bracket and [`Options`]. Out: the files asked for, and an [`Outcome`]. Cost: the sum of the
+//! stages; the report has the time of each. [`run`] is for photographs in files, [`merge_bracket`] for a bracket in
+//! memory.
 
 #[doc(hidden)]
 pub mod camera;
@@ -153,8 +154,8 @@ pub enum Progress {
     Decoded(usize),
 }
 
-/// Callback that receives the progress, from any thread. If it returns `Break`, the run is cancelled before the next stage
-/// with [`Error::Cancelled`] and writes no file.
+/// Callback that receives the progress, from any thread. If it returns `Break`, the run is cancelled before the next
+/// stage with [`Error::Cancelled`] and writes no file.
 pub type Watch<'a> = &'a (dyn Fn(Progress) -> ControlFlow<()> + Sync);
 
 /// A [`Watch`] that ignores the progress and never cancels.
@@ -172,9 +173,9 @@ fn announce(watch: Watch, stage: Stage) -> Result<()> {
 
 /// Aligns, calibrates, merges, tone-maps and writes the bracket `images`, and returns the report.
 ///
-/// Files are renamed to their names only when all are complete: on an error there are no new output files. The result does
-/// not depend on the order of `images` (except for exposures and a reference given by position), on the number of threads,
-/// on the memory limit, or on the machine.
+/// Files are renamed to their names only when all are complete: on an error there are no new output files. The result
+/// does not depend on the order of `images` (except for exposures and a reference given by position), on the number of
+/// threads, on the memory limit, or on the machine.
 ///
 /// # Errors
 /// See [`Error`]; the text names the file and the remedy.
@@ -229,10 +230,10 @@ pub fn develop(images: &[PathBuf], options: &Options, watch: Watch) -> Result<Ou
     results.outcome(prepared)
 }
 
-/// The results of a run, when all files are written.
+/// The results of a run, in memory or on disk, after all files are written.
 struct InMemory {
     radiance: RadianceRows,
-    /// Empty unless it was requested.
+    /// The picture; empty unless it was requested.
     display: Plane<[u8; 3]>,
 }
 
@@ -244,7 +245,7 @@ impl InMemory {
     }
 }
 
-/// [`prepare`], with the results in memory; the picture only if `is_kept`.
+/// Like [`prepare`], and also returns the results; the picture only if `is_kept`.
 fn merge_files(
     images: &[PathBuf],
     options: &Options,
@@ -254,8 +255,8 @@ fn merge_files(
     on_files(images, options, watch, Options::merging, |run, bracket, saved| merge_loaded(run, bracket, saved, is_kept))
 }
 
-/// Checks the options and the names of all files, loads the bracket `images` for these `stages`, and calls `work`
-/// with it and the saved response, on as many threads as memory allows.
+/// Checks the options and the names of all files, loads the bracket `images` for these `stages`, and calls `work` with
+/// the bracket and the saved response, on as many threads as memory allows.
 fn on_files<R: Send>(
     images: &[PathBuf],
     options: &Options,

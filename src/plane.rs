@@ -6,7 +6,8 @@
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Rows per band, the unit of parallel work. Results depend on it, so it does not depend on the machine.
+/// Number of rows per band, the unit of parallel work. Results depend on this number, so it is the same on every
+/// machine.
 pub const BAND_ROWS: usize = 64;
 
 /// An image of `T`, row-major; x to the right, y down; (0, 0) is the centre of the top-left pixel.
@@ -18,7 +19,7 @@ pub struct Plane<T> {
 }
 
 impl<T> Plane<T> {
-    /// A plane with the values of `data`, by rows.
+    /// Returns a plane with the values of `data`, by rows.
     ///
     /// # Panics
     /// If `data` does not have `width * height` values.
@@ -88,7 +89,7 @@ impl<T: Copy> Plane<T> {
 }
 
 impl<T: Copy + Sync> Plane<T> {
-    /// The plane of `convert` of every value, computed in parallel by bands.
+    /// Returns the plane with `convert` applied to every value, computed in parallel by bands.
     pub fn map<U: Copy + Default + Send>(&self, convert: impl Fn(T) -> U + Sync) -> Plane<U> {
         Plane::from_rows(self.width, self.height, |y, row| {
             for (to, &from) in row.iter_mut().zip(self.row(y)) {
@@ -147,20 +148,20 @@ impl<T: Copy + Default + Send> Plane<T> {
     }
 }
 
-/// The rows of band `band` of an image with `height` rows; the last band may be smaller.
+/// Returns the rows of band `band` of an image with `height` rows; the last band may be smaller.
 fn band_rows(band: usize, height: usize) -> Range<usize> {
     band * BAND_ROWS..((band + 1) * BAND_ROWS).min(height)
 }
 
-/// Results of `map` for the rows of every band, computed in parallel and returned in order.
+/// Returns the results of `map` for the rows of every band, in order; they are computed in parallel.
 pub fn map_bands<R: Send>(height: usize, map: impl Fn(Range<usize>) -> R + Sync) -> Vec<R> {
     (0..height.div_ceil(BAND_ROWS)).into_par_iter().map(|band| map(band_rows(band, height))).collect()
 }
 
-/// Results of `map` for 0..`count`, at most `at_once` at a time, returned in order.
+/// Returns the results of `map` for 0..`count`, in order; at most `at_once` are computed at a time.
 ///
-/// The bound limits memory: a thread that waits for parallel work within an item may start another item, so without it
-/// all items might be in progress on any number of threads.
+/// The bound limits memory: a thread that waits for parallel work within an item may start another item, so without the
+/// bound all items might be in progress at once, even on few threads.
 pub fn map_at_once<R: Send>(count: usize, at_once: usize, map: impl Fn(usize) -> R + Sync) -> Vec<R> {
     let at_once = at_once.clamp(1, count.max(1));
     let group = |first| (first..count.min(first + at_once)).into_par_iter().map(&map).collect::<Vec<R>>();
@@ -196,7 +197,7 @@ mod tests {
         let (going, most) = (AtomicUsize::new(0), AtomicUsize::new(0));
         let map = |i: usize| {
             most.fetch_max(1 + going.fetch_add(1, Ordering::SeqCst), Ordering::SeqCst);
-            // A thread that waits for this may start another item.
+            // A thread that waits for this sum may start another item.
             let sum: usize = (0..1000).into_par_iter().map(|k| k % 7).sum();
             going.fetch_sub(1, Ordering::SeqCst);
             sum * i

@@ -16,7 +16,7 @@ pub fn halve(plane: &Plane<u8>) -> Plane<u8> {
     Plane::from_rows(width, height, |y, row| halve_rows(plane.row(2 * y), plane.row(2 * y + 1), row))
 }
 
-/// Computes a row of the halved image from the two rows above each other, which must be at least twice as long.
+/// Computes a row of the halved image from two successive rows, which must be at least twice as long as `half`.
 pub fn halve_rows(upper: &[u8], lower: &[u8], half: &mut [u8]) {
     vectorised(Halves { upper, lower, half });
 }
@@ -40,7 +40,8 @@ impl Loops for Halves<'_> {
     }
 }
 
-/// The pyramid of `plane`, the largest level first; the short side of all other levels is at least `least_side`.
+/// Returns the pyramid of `plane`, the largest level first; the short side of every other level is at least
+/// `least_side`.
 pub fn halves(plane: Plane<u8>, least_side: usize) -> Vec<Plane<u8>> {
     let mut levels = vec![plane];
     while let Some(last) = levels.last()
@@ -51,7 +52,8 @@ pub fn halves(plane: Plane<u8>, least_side: usize) -> Vec<Plane<u8>> {
     levels
 }
 
-/// Every second pixel of every second row, without smoothing: the next octave of a scale space (Lowe 2004, section 3.3).
+/// Returns every second pixel of every second row, without smoothing: the next octave of a scale space (Lowe 2004,
+/// section 3.3).
 pub fn every_second(plane: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (plane.width().div_ceil(2), plane.height().div_ceil(2));
     Plane::from_rows(width, height, |y, row| {
@@ -61,7 +63,7 @@ pub fn every_second(plane: &Plane<f32>) -> Plane<f32> {
     })
 }
 
-/// Doubles width and height by linear interpolation: pixel (2x, 2y) of the result is pixel (x, y).
+/// Doubles width and height by linear interpolation: pixel (2x, 2y) of the result equals pixel (x, y) of `plane`.
 pub fn double(plane: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (plane.width(), plane.height());
     Plane::from_rows(2 * width, 2 * height, |y, row| {
@@ -76,8 +78,8 @@ pub fn double(plane: &Plane<f32>) -> Plane<f32> {
     })
 }
 
-/// The plane convolved with a Gaussian of standard deviation `sigma` pixels, truncated at 4 sigma; the border is
-/// repeated.
+/// Returns the plane convolved with a Gaussian of standard deviation `sigma` pixels, truncated at 4 sigma; the border
+/// is repeated.
 pub fn gaussian(plane: &Plane<f32>, sigma: f64) -> Plane<f32> {
     let half = half_kernel(sigma);
     let (width, height, reach) = (plane.width(), plane.height(), half.len() - 1);
@@ -119,8 +121,8 @@ impl Loops for SmoothRow<'_> {
     }
 }
 
-/// Computes the weighted sum of `at(k)[x]` for every `x`, k from 0 to twice the reach of the kernel. The order of the sum
-/// is the centre, then pairs from there outwards.
+/// Computes the weighted sum of `at(k)[x]` for every `x`, k from 0 to twice the reach of the kernel. The order of the
+/// sum is the centre, then pairs from there outwards.
 #[inline(always)]
 fn weighted_sum<'a>(half: &[f32], out: &mut [f32], at: impl Fn(usize) -> &'a [f32]) {
     let (n, reach) = (out.len(), half.len() - 1);
@@ -145,7 +147,8 @@ fn weighted_sum<'a>(half: &[f32], out: &mut [f32], at: impl Fn(usize) -> &'a [f3
     }
 }
 
-/// The values of `table` for the plane's pixels, smoothed by the binomial kernel (1, 4, 6, 4, 1) / 16 along both axes.
+/// Looks up the plane's pixels in `table`, and smooths the result by the binomial kernel (1, 4, 6, 4, 1) / 16 along
+/// both axes.
 ///
 /// The standard deviation of the kernel is 1 pixel; the border is repeated (Burt & Adelson 1983).
 pub fn binomial(plane: &Plane<u8>, table: &[f32; 256]) -> Plane<f32> {
@@ -168,7 +171,8 @@ pub fn binomial(plane: &Plane<u8>, table: &[f32; 256]) -> Plane<f32> {
     smooth
 }
 
-/// Computes a row of a plane smoothed by the binomial kernel: first along the columns into `column`, then along the row.
+/// Computes a row of a plane smoothed by the binomial kernel: first along the columns into `column`, then along the
+/// row.
 struct BinomialRow<'a> {
     window: [&'a [f32]; 5],
     column: &'a mut [f32],
@@ -196,7 +200,7 @@ impl Loops for BinomialRow<'_> {
     }
 }
 
-/// Weights of the Gaussian from its centre outwards; those of both sides together sum to 1.
+/// Returns the weights of the Gaussian from its centre outwards, to one side; the weights of the whole kernel sum to 1.
 fn half_kernel(sigma: f64) -> Vec<f32> {
     let reach = libm::ceil(4.0 * sigma) as usize;
     let raw: Vec<f64> = (0..=reach).map(|k| libm::exp(-0.5 * (k as f64 / sigma) * (k as f64 / sigma))).collect();
@@ -294,7 +298,7 @@ mod tests {
                         sum += wx * wy / 256.0 * f64::from(table[usize::from(plane.at(u as usize, v as usize))]);
                     }
                 }
-                // About ten roundings of values below 256 in single precision: 10 * 256 * 2^-24.
+                // About ten roundings of values below 256 in single precision: 10 * 256 * 2^-24 = 1.5e-4.
                 assert!((f64::from(fast.at(x as usize, y as usize)) - sum).abs() < 2e-4);
             }
         }

@@ -1,7 +1,8 @@
 //! Scratch files: temporary storage for values that do not fit into the memory limit.
 //!
-//! In: values, and a folder with enough space. Out: any part of them. Cost: that of the system's file cache, some GB/s
-//! while it has space. The file has no name if the system supports that, so it disappears with the process in any case.
+//! In: values, and a folder with enough space. Out: any part of these values. Cost: that of the system's file cache,
+//! some GB/s while it has space. Where the system supports it, the file has no name, and so disappears with the process
+//! in any case.
 
 use crate::error::{Error, Result};
 use bytemuck::Pod;
@@ -21,8 +22,8 @@ pub struct MemoryLimit {
 }
 
 impl MemoryLimit {
-    /// Bytes of the program, its tables, and the memory that the allocator keeps between stages, measured. Worker
-    /// threads are not included.
+    /// Bytes of the program, its tables, and the memory that the allocator keeps between stages, as measured. The
+    /// memory of worker threads is not included.
     pub const PROGRAM: u64 = 24 << 20;
 
     /// Bytes available for pixels.

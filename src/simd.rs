@@ -1,20 +1,21 @@
 //! Vector instructions: selects code for the instruction set of the processor.
 //!
 //! In: [`Loops`] over slices. Out: their result, computed by code compiled for the widest vectors of this processor
-//! (AVX-512 or AVX2 on x86-64, NEON on 64-bit ARM), or by scalar code. Cost: a few nanoseconds per call, so a call should
-//! process at least a row.
+//! (AVX-512 or AVX2 on x86-64, NEON on 64-bit ARM), or by scalar code. Cost: a few nanoseconds per call, so a call
+//! should process at least a row.
 //!
-//! The arms differ only in speed: Rust neither reorders sums of floats nor fuses multiplications with additions, so the
-//! results have the same bytes on every arm. With [`choose`], tests and benches compare the arms.
+//! The arms, one for each instruction set, differ only in speed: Rust neither reorders sums of floats nor fuses
+//! multiplications with additions, so the results have the same bytes on every arm. With [`choose`], tests and benches
+//! compare the arms.
 
 use pulp::{Arch, NullaryFnOnce};
 use std::f32::consts::{FRAC_PI_2, PI};
 use std::sync::atomic::{AtomicU8, Ordering};
 
-/// The instruction set for which loops are compiled.
+/// An instruction set for which loops are compiled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Arm {
-    /// The widest that this processor supports.
+    /// The widest instruction set that this processor supports.
     #[default]
     Native,
     /// AVX-512 of x86 (x86-64-v4).
@@ -31,7 +32,7 @@ impl Arm {
     /// All arms, in the order of their discriminants; this processor may not support all of them (see [`choose`]).
     pub const ALL: [Arm; 5] = [Arm::Native, Arm::Avx512, Arm::Avx2, Arm::Neon, Arm::Scalar];
 
-    /// The corresponding value of pulp; none if this processor does not support the arm.
+    /// Returns the corresponding value of the crate `pulp`; none if this processor does not support the arm.
     #[inline]
     fn arch(self) -> Option<Arch> {
         match self {
@@ -54,7 +55,7 @@ static CHOSEN: AtomicU8 = AtomicU8::new(Arm::Native as u8);
 
 /// Selects `arm` for the whole process if this processor supports it; returns whether it does.
 ///
-/// The results do not depend on the arm: this is for tests and benches.
+/// The results do not depend on the arm. Only tests and benches need to choose one.
 #[must_use = "an arm that the processor does not support is not chosen"]
 pub fn choose(arm: Arm) -> bool {
     let is_supported = arm.arch().is_some();
@@ -71,8 +72,8 @@ pub trait Loops {
 
     /// Runs the loops.
     ///
-    /// Mark it and all functions that it calls `#[inline(always)]`: only inlined code is compiled for the arm (long closures
-    /// are not inlined). Do not start parallel work inside.
+    /// Mark it and all functions that it calls `#[inline(always)]`: only inlined code is compiled for the arm (long
+    /// closures are not inlined). Do not start parallel work inside.
     fn run(self) -> Self::Output;
 }
 
@@ -96,53 +97,55 @@ impl<L: Loops> NullaryFnOnce for Native<L> {
     }
 }
 
-/// 2^23 and 2^52: from there on floats are integers, and a number added to them is in their last bits. This replaces
-/// Rust's saturating casts, for which there are no vector instructions.
+/// 2^23 for `f32`, 2^52 for `f64`: from there on, all floats are integers. If a smaller number is added, the last bits
+/// of the sum are that number, rounded to an integer. This replaces Rust's saturating casts, for which there are no
+/// vector instructions.
 const WHOLE: (f32, f64) = (8_388_608.0, 4_503_599_627_370_496.0);
 
-/// `value` rounded down; it must be in 0..2^22.
+/// Returns `value` rounded down; `value` must be in 0..2^22.
 #[inline(always)]
 pub fn floor32(value: f32) -> f32 {
     let near = (value + WHOLE.0) - WHOLE.0;
     if near > value { near - 1.0 } else { near }
 }
 
-/// `whole` as an integer; it must be an integer in 0..2^23.
+/// Converts `whole`, which must be an integer in 0..2^23.
 #[inline(always)]
 pub fn integer32(whole: f32) -> u32 {
     (whole + WHOLE.0).to_bits() & 0x7f_ffff
 }
 
-/// `value` rounded down; it must be in 0..2^51.
+/// Returns `value` rounded down; `value` must be in 0..2^51.
 #[inline(always)]
 pub fn floor64(value: f64) -> f64 {
     let near = (value + WHOLE.1) - WHOLE.1;
     if near > value { near - 1.0 } else { near }
 }
 
-/// `whole` as an integer; it must be an integer in 0..2^52.
+/// Converts `whole`, which must be an integer in 0..2^52.
 #[inline(always)]
 pub fn integer64(whole: f64) -> u64 {
     (whole + WHOLE.1).to_bits() & ((1 << 52) - 1)
 }
 
-/// The larger of the two values, in one vector instruction. NaN if `value` is NaN; a NaN in the other is ignored.
+/// Returns the larger of the two values, in one vector instruction. The result is NaN if `value` is NaN; it is `value`
+/// if only `least` is NaN.
 #[inline(always)]
 pub fn at_least(value: f32, least: f32) -> f32 {
     if value < least { least } else { value }
 }
 
-/// The smaller value, as [`at_least`].
+/// Returns the smaller of the two values; NaN is treated as by [`at_least`].
 #[inline(always)]
 pub fn at_most(value: f32, most: f32) -> f32 {
     if value > most { most } else { value }
 }
 
-/// log2 of `value`, which must be positive, normal and finite. The error is at most 2e-7, or 2e-7 of the result if that
-/// is larger.
+/// Returns log2 of `value`, which must be positive, normal and finite. The error is at most 2e-7, or 2e-7 of the result
+/// if that is larger.
 #[inline(always)]
 pub fn log2(value: f32) -> f32 {
-    // value = 2^e m with m between sqrt(1/2) and sqrt(2), so that the series of the area tangent below is short.
+    // value = 2^e m with m between sqrt(1/2) and sqrt(2), so that the series of artanh below is short.
     let bits = value.to_bits().wrapping_sub(ROOT_OF_HALF) as i32;
     let e = bits >> 23;
     let m = f32::from_bits(value.to_bits().wrapping_sub((e << 23) as u32));
@@ -156,7 +159,7 @@ pub fn log2(value: f32) -> f32 {
 /// sqrt(1/2), as bits.
 const ROOT_OF_HALF: u32 = 0x3f35_04f3;
 
-/// 2 to the power of `value`, which must be in -126..=127, with a relative error of at most 3e-7.
+/// Returns 2 to the power of `value`, which must be in -126..=127, with a relative error of at most 3e-7.
 #[inline(always)]
 pub fn exp2(value: f32) -> f32 {
     // 2^value = 2^e 2^f with |f| <= 1/2, so that the series of the exponential is short; 127 is the exponent's bias.
@@ -168,12 +171,12 @@ pub fn exp2(value: f32) -> f32 {
     f32::from_bits(integer32(biased) << 23) * series
 }
 
-/// atan2 with an error of at most 2e-4 rad (0.01 degrees).
+/// Returns atan2 with an error of at most 2e-4 rad (0.01 degrees).
 #[inline(always)]
 pub fn atan2(y: f32, x: f32) -> f32 {
     let (ax, ay) = (x.abs(), y.abs());
     let (low, high) = if ax < ay { (ax, ay) } else { (ay, ax) };
-    // The least normal number avoids 0 / 0 and changes nothing else.
+    // The least normal number as least divisor avoids 0 / 0 and changes nothing else.
     let a = low / if high > f32::MIN_POSITIVE { high } else { f32::MIN_POSITIVE };
     let s = a * a;
     // Odd minimax polynomial of atan on 0..=1.

@@ -1,16 +1,18 @@
 //! Order statistics and robust weights, used by all stages.
 //!
-//! In: values in any order. Out: the value of a rank, the median; weights. Cost: a few ns per value. Source: Hoare 1961,
-//! "Algorithm 65: find"; Beaton & Tukey 1974, "The fitting of power series" (the biweight).
+//! In: values in any order. Out: the value of a rank, the median; weights. Cost: a few ns per value. Source: Hoare
+//! 1961, "Algorithm 65: find"; Beaton & Tukey 1974, "The fitting of power series" (the biweight).
 
-/// The value with rank `rank` (0 for the smallest) in the total order of floats; none if there are not enough `values`.
+/// Returns the value with rank `rank` (0 for the smallest) in the total order of floats; none if there are not enough
+/// `values`.
 pub fn of_rank<T: Copy + Into<f64>>(values: impl IntoIterator<Item = T>, rank: usize) -> Option<T> {
     let mut values: Vec<T> = values.into_iter().collect();
     let order = |a: &T, b: &T| (*a).into().total_cmp(&(*b).into());
     (rank < values.len()).then(|| *values.select_nth_unstable_by(rank, order).1)
 }
 
-/// The median of `values`, the upper one of an even number; none if there are no values.
+/// Returns the median of `values`; the upper of the two middle values if their number is even; none if there are no
+/// values.
 pub fn median<T: Copy + Into<f64>>(values: impl IntoIterator<Item = T>) -> Option<T> {
     let values: Vec<T> = values.into_iter().collect();
     let middle = values.len() / 2;
@@ -20,13 +22,15 @@ pub fn median<T: Copy + Into<f64>>(values: impl IntoIterator<Item = T>) -> Optio
 /// Median absolute deviation of a normal distribution, in standard deviations: the normal quantile of 3/4.
 pub const MEDIAN_DEVIATION: f64 = 0.6745;
 
-/// Tukey's biweight of a residual `t`, relative to the reach: 1 for 0, and 0 from 1 on and for NaN.
+/// Returns Tukey's biweight of `t`, a residual divided by the largest residual that counts: 1 for 0; 0 for |t| >= 1 and
+/// for NaN.
 pub fn biweight(t: f64) -> f64 {
     let inside = (1.0 - t * t).max(0.0);
     inside * inside
 }
 
-/// Counter-based random generator: the finaliser of SplitMix64 (Steele, Lea & Flood 2014) of seed, trial and draw.
+/// Returns a random number that depends only on seed, trial and draw, by the finaliser of SplitMix64 (Steele, Lea &
+/// Flood 2014).
 pub fn random(seed: u64, trial: u64, draw: u64) -> u64 {
     let mut z = seed ^ (trial << 16 | draw).wrapping_mul(0x9E37_79B9_7F4A_7C15);
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);

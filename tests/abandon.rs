@@ -1,4 +1,4 @@
-//! An abandoned run leaves no files. Abandoning ends all writing of the process, so this test has its own program.
+//! An abandoned run leaves no files. Abandoning ends all writing of the process, so this test is a program of its own.
 
 mod support;
 

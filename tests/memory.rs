@@ -1,4 +1,5 @@
-//! A bracket in memory is merged without opening a file. A process of its own: no file can be opened in it any more.
+//! A bracket in memory is merged without opening a file. The test is a program of its own, because it forbids its
+//! process to open files.
 #![cfg(target_os = "linux")]
 
 use hdralign::bracket::exposure::Exposure;
@@ -12,14 +13,14 @@ use std::ops::ControlFlow;
 /// Width and height of the frames.
 const SIZE: (u32, u32) = (320, 240);
 
-/// Radiance of the scene: a ramp over eight stops with a texture of two scales.
+/// Returns the radiance of the scene: a ramp over eight stops with a texture of two scales.
 fn radiance(x: i64, y: i64) -> f64 {
     let texture =
         1.0 + 0.4 * ((x as f64 * 0.31).sin() * (y as f64 * 0.23).cos()) + 0.2 * f64::from((x / 7 + y / 5) as u8 % 3);
     2f64.powf(8.0 * x as f64 / f64::from(SIZE.0) - 5.0) * texture
 }
 
-/// The frame of an exposure of `ev` stops, displaced by `shift` pixels, by the sRGB curve.
+/// Returns a frame with an exposure of `ev` stops, displaced by `shift` pixels, encoded by the sRGB curve.
 fn frame(ev: i32, shift: (i64, i64)) -> Frame {
     let image = ImageBuffer::from_fn(SIZE.0, SIZE.1, |x, y| {
         let light = radiance(i64::from(x) + shift.0, i64::from(y) + shift.1) * 2f64.powi(ev);
@@ -37,7 +38,7 @@ fn bracket() -> Bracket {
 
 #[test]
 fn bracket_in_memory_is_merged_without_opening_a_file() {
-    // The pool's threads read what the system says of the processor when they start.
+    // The threads are started first, because they open files about the processor when they start.
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().expect("threads");
     let limit = getrlimit(Resource::Nofile);
     setrlimit(Resource::Nofile, Rlimit { current: Some(0), ..limit }).expect("a limit");
@@ -65,7 +66,8 @@ fn bracket_in_memory_is_merged_without_opening_a_file() {
     let display = image::RgbImage::from(merged.display.pixels);
     let map = image::Rgb32FImage::from(merged.radiance.pixels);
     assert_eq!(display.dimensions(), map.dimensions());
-    // Radiance is relative: its ratio to the scene's is one number. Codes are rounded to 0.2 to 4 % of the exposure.
+    // Radiance is relative, so its ratio to that of the scene is constant, except for the rounding of code values,
+    // which changes the exposure by 0.2 to 4 %.
     let crop = merged.report.crop;
     let mut ratios = Vec::new();
     for y in (20..map.height() - 20).step_by(7) {

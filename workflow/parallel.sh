@@ -9,7 +9,7 @@
 # Exit code 0: all jobs are done; 1: none; 3: some, and batch.json has the errors. See docs/guides/parallel.md.
 set -uo pipefail
 (($#)) || { echo "usage: parallel.sh PLAN.jsonl [options of parallel]" >&2; exit 2; }
-[[ -r $1 ]] || { echo "$1: the plan cannot be read; write one with: hdralign batch --plan FOLDER -d OUT > $1" >&2; exit 2; }
+[[ -r $1 ]] || { echo "$1: the plan cannot be read; write one with: hdralign batch FOLDER -d OUT --plan > $1" >&2; exit 2; }
 plan=$(realpath "$1") hdralign=${HDRALIGN:-hdralign}
 most_mb=$(sed 's/.*"memory_mb":\([0-9]*\).*/\1/' "$plan" | sort -n | tail -n 1)
 

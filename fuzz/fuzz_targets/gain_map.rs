@@ -66,7 +66,7 @@ impl<'a> Arbitrary<'a> for Case {
         let gain_map = *u.choose(&[Resolution::Full, Resolution::Half, Resolution::None])?;
         let words = if bool::arbitrary(u)? { Words::arbitrary(u)? } else { Words::arbitrary(&mut Unstructured::new(&[]))? };
         let kind = u.int_in_range(0..=3)?;
-        // Pixels of any size from any number of bytes, repeated.
+        // The bytes are repeated, so that any number of bytes is enough for a picture of any size.
         let bytes = u.bytes(u.len())?;
         let byte = |i: usize| bytes.get(i % bytes.len().max(1)).copied().unwrap_or(0);
         let any = |i: usize| f32::from_bits(u32::from_be_bytes([0, 1, 2, 3].map(|k| byte(4 * i + k))));

@@ -29,7 +29,7 @@ use std::path::PathBuf;
 
 fuzz_target!(init: set_up(), |case: Case| held(|| line(&case)));
 
-/// The content of the first photograph; the others show it moved and with another exposure, except for
+/// The content of the first photograph. The others show it moved and with another exposure, except for
 /// [`Noise`](Content::Noise).
 #[derive(Debug, Clone, Copy, Arbitrary)]
 enum Content {
@@ -44,7 +44,7 @@ enum Content {
     Blobs(u16),
 }
 
-/// Differences between a frame and the first.
+/// Differences between a frame and the first frame.
 #[derive(Debug, Clone, Copy, Arbitrary)]
 struct Departure {
     shift: (i8, i8),
@@ -60,19 +60,20 @@ struct Case {
     width: u32,
     height: u32,
     deep: bool,
-    /// Whether one frame has the other depth.
+    /// Whether the first frame has another bit depth than the others.
     mixed: bool,
     content: Content,
     departures: Vec<Departure>,
-    /// EV, and the exposure of the pixels, which may contradict each other.
+    /// Exposures in EV that are given for the frames.
     ev: Vec<f64>,
+    /// Exposures in EV of the pixels of the frames, which may contradict `ev`.
     gains: Vec<f64>,
     bytes: Vec<u8>,
     options: Options,
     again: bool,
 }
 
-/// Returns exposures: steps as in cameras; any; and impossible ones.
+/// Returns exposures in EV: in even steps as by cameras, or any numbers, or impossible ones.
 fn exposures(u: &mut Unstructured, count: usize) -> arbitrary::Result<Vec<f64>> {
     let kind = u.int_in_range(0..=7)?;
     (0..count)
@@ -142,7 +143,7 @@ fn options(u: &mut Unstructured, frames: usize) -> arbitrary::Result<Options> {
             1 => Deghost::Auto,
             _ => Deghost::Off,
         },
-        // It computes transforms of a fixed size, which take seconds here for any picture.
+        // The flare correction computes transforms of a fixed size, which take seconds here for any picture.
             flare: u.ratio(1, 100)?,
         crop: *u.choose(&[Crop::Common, Crop::None])?,
         colour: *u.choose(&[None, None, Some(Space::Rec2020), Some(Space::Acescg), Some(Space::Prophoto)])?,
@@ -204,7 +205,7 @@ impl<'a> Arbitrary<'a> for Case {
     }
 }
 
-/// A pseudo-random number from 0 to 65535.
+/// Returns a pseudo-random number from 0 to 65535 that depends only on `i`.
 fn drawn(i: u64) -> u16 {
     let mut z = i.wrapping_add(0x9E37_79B9_7F4A_7C15);
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
@@ -213,7 +214,7 @@ fn drawn(i: u64) -> u16 {
 }
 
 impl Case {
-    /// Returns the scene at a position, 0..=65535.
+    /// Returns the light of the scene at a position, 0..=65535.
     fn scene(&self, frame: usize, x: i64, y: i64, c: usize) -> u16 {
         let place = ((y * 64 + x) * 3 + c as i64) as u64;
         match self.content {
@@ -233,7 +234,7 @@ impl Case {
         }
     }
 
-    /// Returns a code of frame `i`.
+    /// Returns the code value of frame `i` at a pixel and channel, 0..=65535.
     fn code(&self, i: usize, x: u32, y: u32, c: usize) -> u16 {
         let departure = self.departures[i];
         if departure.dead_row == Some(y as u8) {
@@ -255,7 +256,7 @@ impl Case {
         (light.sqrt() * 256.0 + 16.0 * noise) as u16
     }
 
-    /// Writes the photographs to files.
+    /// Writes the photographs to files and returns their paths.
     fn frames(&self) -> Vec<PathBuf> {
         (0..self.departures.len())
             .map(|i| {
@@ -324,7 +325,8 @@ fn line(case: &Case) {
     }
 }
 
-/// Runs the same bracket in another order, on three threads, with little memory.
+/// Runs the same bracket in another order, on sixteen threads, with little memory, and compares the results with
+/// `first`.
 fn check_again(case: &Case, mut frames: Vec<PathBuf>, mut options: Options, first: &pipeline::Outcome) {
     let count = frames.len();
     frames.reverse();
@@ -334,7 +336,7 @@ fn check_again(case: &Case, mut frames: Vec<PathBuf>, mut options: Options, firs
     if let ReferenceChoice::Number(n) = &mut options.load.reference {
         *n = count + 1 - *n;
     }
-    // So many threads leave no memory for the frames, which are moved to disk.
+    // Sixteen threads leave no memory for the frames, so these are moved to disk.
     options.threads = Some(16);
     options.load = LoadOptions {
         memory: Some(MemoryLimit { bytes: MemoryLimit::PROGRAM + (40 << 20), folder: folder().to_owned() }),

@@ -31,7 +31,7 @@ fn photograph(data: &[u8]) {
     }
 }
 
-/// Returns a JPEG of 8 x 8 pixels with this segment.
+/// Returns a JPEG of 8 x 8 pixels with a segment that has the marker `code` and the content `parts`.
 fn with_segment(code: u8, parts: &[&[u8]]) -> Vec<u8> {
     static PLAIN: OnceLock<Vec<u8>> = OnceLock::new();
     let plain = PLAIN.get_or_init(|| {
@@ -55,7 +55,7 @@ fn with_segment(code: u8, parts: &[&[u8]]) -> Vec<u8> {
 fn check(data: &[u8], way: u64) {
     let paths = vec![put("a.jpg", data), put("b.png", data)];
     let header = header(&paths[0]);
-    // With given exposures any picture is accepted; otherwise those in the file are needed.
+    // If exposures are given, any picture is accepted; otherwise the file must contain its exposure.
     let ev = (way % 4 != 0).then(|| vec![0.0, 2.0]);
     let options = LoadOptions { ev, max_pixels: MOST_PIXELS, keep_gps: way & 4 != 0, ..LoadOptions::default() };
     let loaded = load(&paths, &options);
@@ -79,7 +79,7 @@ fn check(data: &[u8], way: u64) {
             if let Err(e) = header {
                 check_error(e, "a.jpg");
             }
-            // Two equal files have the same size, and are two files.
+            // The two files have equal content, so their pictures have the same size, but they are not the same file.
             let wrong = matches!(e, Error::SizeMismatch { .. } | Error::SameFile { .. } | Error::TooFewFrames { .. });
             assert!(!wrong, "{e}");
         }

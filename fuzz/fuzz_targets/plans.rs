@@ -41,7 +41,7 @@ fn transforms(content: &[u8]) {
     };
     let again = SavedAlignment::from_json(&saved.to_json(), &path).unwrap_or_else(|e| panic!("what was saved: {e}"));
     assert_eq!(again, saved);
-    // Its transforms are applied to a bracket of three, regardless of the photographs in it.
+    // The saved transforms are applied to a bracket of three frames, whatever photographs they were saved for.
     let frames = bracket();
     let places = saved.frames.into_iter().zip([&frames[0], &frames[2]]);
     let given = places.map(|(given, path)| Preset { path: path.clone(), ..given }).collect();
@@ -65,7 +65,7 @@ fn transforms(content: &[u8]) {
     }
 }
 
-/// Three photographs of 16 x 12 pixels.
+/// Returns the paths of three photographs of 16 x 12 pixels.
 fn bracket() -> &'static [PathBuf] {
     static FRAMES: OnceLock<Vec<PathBuf>> = OnceLock::new();
     FRAMES.get_or_init(|| {

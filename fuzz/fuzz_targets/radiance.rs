@@ -1,8 +1,8 @@
 //! Radiance maps of any writer: `.hdr`, `.exr`, floating-point and LogLuv TIFF.
 //!
 //! In: a file. Checked: no panic, no hang, no allocation out of proportion to its bytes; a map has as many pixels as
-//! its size; repaired values are positive and finite; a small map can be shown, and written in every format, and read
-//! again with the same size.
+//! its size says; repaired values are positive and finite; a small map can be tone-mapped, written in every format, and
+//! read again with the same size.
 #![no_main]
 
 use hdralign::bracket::colour::Space;

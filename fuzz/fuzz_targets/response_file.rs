@@ -1,8 +1,8 @@
 //! Response files: `.json`, `.rsp` and `.csv`.
 //!
-//! In: the kind of file in the first byte, and the file. Checked: curves that are read are finite and increase, also
-//! as 32-bit floats; saved and read again they are the same: exactly as JSON, otherwise the curve that saving
-//! returned.
+//! In: the kind of file in the first byte, and the file. Checked: curves that are read are finite and increase, also as
+//! 32-bit floats. A curve that is saved and read again is equal to the original if saved as JSON, and otherwise to the
+//! curve that saving returned.
 #![no_main]
 
 use hdralign::response::file::SavedResponse;

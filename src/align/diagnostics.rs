@@ -2,9 +2,10 @@
 //!
 //! In: the grey pyramids of the reference and a frame, and the transform that was found. Out: the bitmaps, with the
 //! share of pixels that differ as the frame is rotated and shifted; the keypoints; the matches of each kind of keypoint
-//! and which of them are inliers. Cost: that of both methods run to the end, some tenths of a second a frame. Nothing
-//! is decided here: that is [`align`](crate::align::align)'s. Source: Ward 2003, section 2; Lowe 2004, section 7.1;
-//! tables 4.1 to 4.3 of the thesis, which compare keypoints of the grey picture, of the bitmap and of both.
+//! and which of them are inliers. Cost: that of the bitmap search and of the features, some tenths of a second per
+//! frame. The diagnostics do not influence [`align`](crate::align::align). Source: Ward 2003, section 2; Lowe 2004,
+//! section 7.1; tables 4.1 to 4.3 of the thesis, which compare keypoints of the grey picture, of the bitmap and of
+//! both.
 
 use crate::align::AlignOptions;
 use crate::align::bitmaps;
@@ -27,18 +28,19 @@ pub struct FrameBitmaps {
     pub zone: Zone,
     /// The threshold bitmap and the exclusion bitmap.
     pub bitmaps: ThresholdBitmaps,
-    /// Pixels of the full size along a pixel of the bitmaps.
+    /// Length of the side of a pixel of the bitmaps, in pixels of the full size.
     pub scale: f64,
 }
 
 impl FrameBitmaps {
-    /// The bitmaps of `frame` at the percentile at which it is compared with `reference`, which may be the same frame.
+    /// Computes the bitmaps of `frame` at the percentile at which it is compared with `reference`, which may be the
+    /// same frame.
     pub fn new(reference: &GreyPyramid, frame: &GreyPyramid, options: &AlignOptions) -> Self {
         let [_, frame] = Self::pair(reference, frame, options);
         frame
     }
 
-    /// The bitmaps of both frames, as in the search.
+    /// Computes the bitmaps of both frames, as in the search.
     fn pair(reference: &GreyPyramid, frame: &GreyPyramid, options: &AlignOptions) -> [Self; 2] {
         let level = measured_level(reference);
         let pair = bitmaps::BitmapPair::new(reference, frame, level, options.mtb.exclusion);
@@ -51,7 +53,7 @@ impl FrameBitmaps {
         })
     }
 
-    /// The share of all pixels that are excluded, 0..=1.
+    /// Returns the share of all pixels that are excluded, 0..=1.
     pub fn excluded_share(&self) -> f64 {
         let exclusion = &self.bitmaps.exclusion;
         let (width, height) = (exclusion.width(), exclusion.height());
@@ -65,12 +67,12 @@ impl FrameBitmaps {
 pub struct Curve {
     /// The motions, rising: degrees for a rotation, pixels of the full size for a shift.
     pub at: Vec<f64>,
-    /// The share of the compared pixels that differ, 0..=1.
+    /// For each motion, the share of the compared pixels that differ, 0..=1.
     pub share: Vec<f64>,
 }
 
 impl Curve {
-    /// The motion with the least share; the first of several.
+    /// Returns the motion with the least share; of several the first.
     pub fn lowest(&self) -> f64 {
         let best = self.at.iter().zip(&self.share).reduce(|best, here| if here.1 < best.1 { here } else { best });
         best.map_or(0.0, |(at, _)| *at)
@@ -87,23 +89,24 @@ pub struct XorCurves {
     pub before: f64,
     /// The share that differs at the estimated motion.
     pub after: f64,
-    /// By the rotation, at the estimated shift.
+    /// The share by rotation, at the estimated shift.
     pub by_angle: Curve,
-    /// By the shift to the right, at the estimated rotation.
+    /// The share by shift to the right, at the estimated rotation and shift downwards.
     pub by_dx: Curve,
-    /// By the shift downwards, at the estimated rotation.
+    /// The share by shift downwards, at the estimated rotation and shift to the right.
     pub by_dy: Curve,
 }
 
-/// Steps of the rotation, in degrees: over the whole range, and near the estimated motion.
+/// Step of the rotation over the whole range, in degrees. Up to [`FINE_REACH`] degrees from the estimated motion, it is
+/// [`FINE_ANGLE_STEP`].
 const ANGLE_STEP: f64 = 0.1;
 const FINE_ANGLE_STEP: f64 = 0.02;
 const FINE_REACH: f64 = 0.4;
-/// Range of the shifts, in pixels of the level.
+/// Largest shift in either direction from the estimated motion, in pixels of the level.
 const SHIFT_REACH: i64 = 40;
 
-/// The share of pixels that differ when `frame` is rotated and shifted around the motion of `transform`, or around the
-/// result of its own bitmap search if there is none.
+/// Computes the share of pixels that differ when `frame` is rotated and shifted around the motion of `transform`;
+/// without a `transform`, around the result of a bitmap search.
 pub fn xor_curves(
     reference: &GreyPyramid,
     frame: &GreyPyramid,
@@ -141,7 +144,7 @@ pub fn xor_curves(
     }
 }
 
-/// Angles over the whole range searched, closer together near `found`, which is one of them; in degrees.
+/// Returns angles over the whole range searched, in degrees, closer together near `found`, which is one of them.
 fn angles(found: f64, most: f64) -> Vec<f64> {
     let reach = most.max(1.0).max(1.2 * found.abs());
     let coarse = (reach / ANGLE_STEP).floor() as i64;
@@ -160,7 +163,7 @@ pub enum FeatureKind {
     Plain,
     /// Keypoints of its median threshold bitmaps.
     Mtb,
-    /// Both, each kind matched with its own kind.
+    /// Keypoints of both, each kind matched only with its own kind.
     Merged,
 }
 
@@ -173,7 +176,7 @@ pub struct FrameFeatures {
 }
 
 impl FrameFeatures {
-    /// The features of `frame`.
+    /// Detects the features of `frame`.
     pub(crate) fn new(frame: &GreyPyramid, detector: &Detector, options: &AlignOptions) -> Self {
         let level = measured_level(frame);
         FrameFeatures {
@@ -183,14 +186,14 @@ impl FrameFeatures {
         }
     }
 
-    /// An empty set of features of `frame`, where they are not needed.
+    /// Returns an empty set of features of `frame`, for use where features are not needed.
     pub fn none(frame: &GreyPyramid) -> Self {
         let level = measured_level(frame);
         let sets = FeatureSets { plain: Features::default(), mtb: Vec::new(), counts: KeypointCounts::default() };
         FrameFeatures { sets, to_full: level_to_full(level), size: frame.size(level) }
     }
 
-    /// Width and height of the level on which they were detected, in pixels.
+    /// Width and height of the level on which the features were detected, in pixels.
     pub fn size(&self) -> (usize, usize) {
         self.size
     }
@@ -200,7 +203,8 @@ impl FrameFeatures {
         self.sets.counts
     }
 
-    /// Keypoints of the grey picture and of the bitmaps, in pixels of the full size; duplicates of bitmaps only once.
+    /// Returns the keypoints of the grey picture and of the bitmaps, in pixels of the full size; a keypoint of several
+    /// bitmaps is listed once.
     pub fn keypoints(&self) -> [Vec<Keypoint>; 2] {
         let full = |k: &Keypoint| {
             let (x, y) = map(&self.to_full, k.x.into(), k.y.into());
@@ -209,14 +213,15 @@ impl FrameFeatures {
         [self.sets.plain.keypoints.iter().map(full).collect(), self.sets.of_bitmaps().iter().map(full).collect()]
     }
 
-    /// Whether each keypoint of the grey picture is also in a bitmap, and the other way round: within a pixel of the
-    /// level and with a similar scale, as in [`counts`](Self::counts).
+    /// Returns whether each keypoint of the grey picture is also in a bitmap, and whether each keypoint of the bitmaps
+    /// is also in the grey picture: within a pixel of the level and with a similar scale, as in
+    /// [`counts`](Self::counts).
     pub fn found_twice(&self) -> [Vec<bool>; 2] {
         let (plain, bitmaps) = (&self.sets.plain.keypoints, self.sets.of_bitmaps());
         [features::found_among(plain, &bitmaps), features::found_among(&bitmaps, plain)]
     }
 
-    /// The features of one kind.
+    /// Returns the features of one kind.
     fn only(&self, kind: FeatureKind) -> FeatureSets {
         let (plain, mtb) = match kind {
             FeatureKind::Plain => (self.sets.plain.clone(), vec![Features::default(); self.sets.mtb.len()]),
@@ -232,9 +237,9 @@ impl FrameFeatures {
 pub struct Matching {
     /// Positions in the reference and in the frame, in pixels of the full size.
     pub pairs: Vec<PointPair>,
-    /// Whether each is an inlier of the robust estimator.
+    /// Whether each pair is an inlier of the robust estimator.
     pub inlier: Vec<bool>,
-    /// The transform of the inliers.
+    /// The transform of the inliers; none if the matches do not agree on one.
     pub transform: Option<Transform>,
 }
 
@@ -245,8 +250,9 @@ impl Matching {
     }
 }
 
-/// Matches keypoints, by [`FeatureKind`], and finds the inliers: once, by the ratio test alone, without the further
-/// steps of [`align`](crate::align::align).
+/// Matches the keypoints of each [`FeatureKind`], in the order of its variants, and finds the inliers.
+///
+/// Keypoints are matched once, by the ratio test alone, without the further steps of [`align`](crate::align::align).
 pub fn matchings(reference: &FrameFeatures, frame: &FrameFeatures, options: &AlignOptions) -> [Matching; 3] {
     let to_full = &reference.to_full;
     let of = |kind| features::pairs(&reference.only(kind), &frame.only(kind), to_full, options.ratio);
@@ -262,7 +268,8 @@ pub fn matchings(reference: &FrameFeatures, frame: &FrameFeatures, options: &Ali
     })
 }
 
-/// The root mean square distance between the positions of a pixel under two transforms, over a picture of `size`.
+/// Returns the root mean square distance between the positions of a pixel under two transforms, over a picture of
+/// `size`.
 pub fn distance_px(a: &Transform, b: &Transform, size: (usize, usize)) -> f64 {
     distance(a, b, size.0, size.1)
 }
@@ -286,8 +293,8 @@ mod tests {
         let truth = rigid(9.0, -6.0, 1.7);
         let [reference, frame] = pair(&truth);
         let curves = xor_curves(&reference, &frame, Some(truth), &AlignOptions::default());
-        // The radius is 150 px: bitmaps compared to the nearest pixel distinguish angles that move the rim by half a pixel or
-        // more, 0.2 deg.
+        // The positions of bitmaps are rounded to pixels, so angles can be distinguished if they move the rim, at 150
+        // px, by half a pixel or more: 0.2 degrees.
         assert!((curves.by_angle.lowest() - 1.7).abs() <= 0.2, "{}", curves.by_angle.lowest());
         assert!((curves.by_dx.lowest() - 9.0).abs() <= 1.0 && (curves.by_dy.lowest() + 6.0).abs() <= 1.0);
         assert!(curves.after < 0.3 * curves.before, "{} {}", curves.after, curves.before);
@@ -329,7 +336,8 @@ mod tests {
         let h = truth.matrix(SIZE.0, SIZE.1);
         let off = |p: &PointPair| distance_squared(&h, p).sqrt();
         for (pair, inlier) in merged.pairs.iter().zip(&merged.inlier) {
-            // Within the threshold of the motion found, which is itself off by less than a pixel.
+            // Inliers are within the threshold of the motion that was found, which has an error of less than a pixel
+            // itself.
             assert!(!inlier || off(pair) < options.ransac.threshold + 1.0);
         }
         assert!(distance_px(&truth, &merged.transform.unwrap(), SIZE) < 1.0);

@@ -1,22 +1,25 @@
 //! Alignment: the transform of every frame to the reference, with an error estimate and a confidence.
 //!
 //! In: a [`Bracket`]. Out: an [`Alignment`]: for each frame a [`Placement`] with the transform of the smallest
-//! sufficient [`Model`], always directly to the reference. Cost: about 0.1 s of one core for a frame of 1.5 MP that the
-//! first method settles, up to ten times as much for a difficult one; 0.3 s for one of 8 MP.
+//! sufficient [`Model`], always directly to the reference. Cost: if the first method suffices, about 0.1 s of one core
+//! for a frame of 1.5 MP and 0.3 s for one of 8 MP; up to ten times as much for a difficult frame.
 //!
-//! The sub-modules, each using only those before it:
+//! The sub-modules; each uses only those above it in this list:
 //!
-//! 1. `transform`: transforms and their models. `result`: what the alignment gives back.
-//! 2. [`grey`]: grey pyramids. [`resampling`]: kernels and rows. [`photometric`]: two frames at a common exposure.
-//! 3. [`bitmaps`]: median threshold bitmaps (Ward 2003). [`features`]: SIFT, SURF, matching, RANSAC, LMedS. Neither uses the other.
-//! 4. [`refinement`]: Lucas & Kanade on the pixels. [`agreement`]: the check of a transform, tile by tile.
+//! 1. `transform`: transforms and their models. `result`: what the alignment returns.
+//! 2. [`grey`]: grey pyramids. [`resampling`]: interpolation kernels, and resampling of rows. [`photometric`]:
+//!    conversion of two frames to a common exposure.
+//! 3. [`bitmaps`]: median threshold bitmaps (Ward 2003). [`features`]: SIFT, SURF, matching, RANSAC, LMedS. These two
+//!    modules do not use each other.
+//! 4. [`refinement`]: Lucas & Kanade's alignment of pixels. [`agreement`]: the check of a transform, tile by tile.
 //! 5. [`preset`] and [`transforms_file`]: transforms that are not estimated, and their file.
 //! 6. `local`: the parts of the picture that a transform does not fit.
 //! 7. `ladder`: the order of the methods, and the choice among what they find. `diagnostics`: what `inspect` shows.
 //!
-//! `auto` goes from the cheapest method to the most expensive and stops as soon as the tiles of the picture agree:
-//! bitmaps, refined on the pixels; features; the other minima of the bitmap search. Every result is refined and then
-//! checked by [`agreement`].
+//! The mode `auto` goes from the cheapest method to the most expensive and stops as soon as the tiles of the picture
+//! agree: bitmaps, refined on the pixels; the same against a neighbour in exposure; features; the other minima of the
+//! bitmap search. Every estimate is refined and then checked by [`agreement`], except those inferred from other frames
+//! ([assumed](Placement::Assumed)).
 
 #[doc(hidden)]
 pub mod agreement;
@@ -61,14 +64,14 @@ pub use transform::{Model, Transform};
 #[serde(rename_all = "kebab-case")]
 #[strum(serialize_all = "kebab-case")]
 pub enum AlignMode {
-    /// Bitmaps, refined on the pixels; features if that does not suffice. Every result is checked.
+    /// Median threshold bitmaps, then refinement on the pixels; features if necessary. Every result is checked.
     #[default]
     Auto,
     /// Median threshold bitmaps only: shift and rotation.
     Mtb,
-    /// SIFT features only, for a homography.
+    /// SIFT features only: a homography, which also corrects tilt.
     Sift,
-    /// SURF features only, for a homography. Faster than SIFT, and less precise.
+    /// SURF features only: a homography. Faster than SIFT, but less precise.
     Surf,
     /// No alignment.
     None,
@@ -85,14 +88,14 @@ pub struct AlignOptions {
     pub sift: SiftOptions,
     /// Options of SURF.
     pub surf: SurfOptions,
-    /// Largest ratio of the distances of a descriptor to the nearest and the second nearest of a match (Lowe 2004,
-    /// section 7.1).
+    /// Largest ratio that a match may have: the distance of its two descriptors, divided by the distance to the second
+    /// nearest descriptor (Lowe 2004, section 7.1).
     pub ratio: f64,
-    /// Transforms that are preset instead of estimated; of several for one frame the first is used.
+    /// Transforms that are preset instead of estimated; if a frame has several, the first is used.
     pub given: Vec<Preset>,
     /// The robust estimator.
     pub robust: RobustMethod,
-    /// Options of the robust estimator; its threshold is in pixels of the level on which features are detected.
+    /// Options of the robust estimator; the threshold is in pixels of the pyramid level on which features are detected.
     pub ransac: RansacOptions,
 }
 
@@ -112,7 +115,7 @@ impl Default for AlignOptions {
 }
 
 impl AlignOptions {
-    /// The feature detector of the method.
+    /// Returns the feature detector of the [mode](Self::mode): SURF for [`AlignMode::Surf`], otherwise SIFT.
     pub(crate) fn detector(&self) -> Detector {
         match self.mode {
             AlignMode::Surf => Detector::Surf(self.surf.clone()),
@@ -120,10 +123,10 @@ impl AlignOptions {
         }
     }
 
-    /// Checks the values against their ranges; what is [given](Self::given) is checked against the bracket.
+    /// Checks the numbers against their ranges; [`align`] checks the preset transforms ([`given`](Self::given)).
     ///
     /// # Errors
-    /// [`Error::Option`] for the first that is out of range.
+    /// [`Error::Option`] for the first number that is out of range.
     pub fn validate(&self) -> Result<()> {
         let numbers = |options: &AlignOptions| {
             let (mtb, ransac) = (&options.mtb, &options.ransac);
@@ -161,7 +164,8 @@ impl AlignOptions {
 ///
 /// # Errors
 /// [`Error::Option`] where an option is out of range; [`Error::NoOverlap`] where the placed frames have no pixel in
-/// common; [`Error::Scratch`]. A frame that cannot be aligned is not an error: it is [rejected](Placement::Rejected) with a warning.
+/// common; [`Error::Scratch`]. A frame that cannot be aligned is not an error: it is [rejected](Placement::Rejected)
+/// with a warning.
 pub fn align(bracket: &Bracket, options: &AlignOptions) -> Result<(Alignment, Vec<Warning>)> {
     options.validate()?;
     let given = preset::given(bracket, &options.given)?;

@@ -1,6 +1,6 @@
-//! Preset transforms: given by the user for single frames, or by a file of transforms, instead of estimated.
+//! Preset transforms: not estimated, but given by the user for single frames, or by a file of transforms.
 //!
-//! In: [`Preset`]s. Out: the placements of the frames of a bracket that they name. Cost: negligible.
+//! In: [`Preset`]s, each of which names a frame. Out: the placements of these frames of a bracket. Cost: negligible.
 
 use crate::align::result::{FeatureCounts, Found, Placement, RejectedBy};
 use crate::align::transform::{Transform, corners, map};
@@ -11,9 +11,9 @@ use std::path::PathBuf;
 /// A frame whose transform is preset.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Preset {
-    /// Its file, or the name of the file.
+    /// The file of the frame, or the name of the file.
     pub path: PathBuf,
-    /// Its transform, or that it is excluded.
+    /// What is preset: a transform, or the exclusion of the frame.
     pub place: PresetTransform,
 }
 
@@ -24,12 +24,12 @@ pub enum PresetTransform {
     Excluded,
     /// The user states that the frame did not move.
     Unmoved,
-    /// A placement that was estimated earlier.
+    /// A placement that was estimated earlier, with the numbers of keypoints and inliers.
     Known(Box<Placement>, FeatureCounts),
 }
 
 impl PresetTransform {
-    /// The placement, and the numbers of keypoints and inliers.
+    /// Returns the placement, and the numbers of keypoints and inliers.
     pub(crate) fn found(&self) -> Found {
         let placement = match self {
             PresetTransform::Known(placement, features) => return (Placement::clone(placement), *features),
@@ -40,13 +40,14 @@ impl PresetTransform {
     }
 }
 
-/// The preset placement of each frame of `bracket`, if there is one.
+/// Returns the preset placement of each frame of `bracket`, if there is one.
 ///
-/// The first of several for a frame is used. A preset overrides the exclusion of a frame because of the flash.
+/// If a frame has several presets, the first is used. A preset overrides the exclusion of a frame in which the flash
+/// fired.
 ///
 /// # Errors
-/// [`Error::Option`] where the user names a file that is no frame, excludes the reference, or gives an invalid
-/// transform.
+/// [`Error::Option`] if the user names a file that is not a frame of `bracket`, excludes the reference, or gives an
+/// invalid transform.
 pub(crate) fn given(bracket: &Bracket, given: &[Preset]) -> Result<Vec<Option<Found>>> {
     let mut found = vec![None; bracket.frames().len()];
     for Preset { path, place } in given {
@@ -107,6 +108,7 @@ pub(crate) fn check(placement: &Placement, (width, height): (usize, usize)) -> s
     if is_sane {
         return Ok(());
     }
-    Err("its homography is invalid: give nine finite numbers that keep the picture in front of the camera and do not mirror it"
+    Err("its homography is invalid: the nine numbers must be finite, must not mirror the picture, and must not put a corner \
+         of it behind the camera; copy the numbers from a file that hdralign wrote"
         .into())
 }

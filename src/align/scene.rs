@@ -1,7 +1,7 @@
-//! A random scene for the tests of the alignment, smooth, with edges, at many scales. Its radiance is known at every
-//! position, so that photographs under any transform and exposure are computed without resampling.
+//! A random scene for the tests of the alignment, with smooth parts and edges at many scales. The radiance is known at
+//! every position, so that photographs under any transform and exposure are computed without resampling.
 //!
-//! In: a seed, a transform, an exposure. Out: grey planes. Cost: some 0.1 us a pixel.
+//! In: a seed, a transform, an exposure. Out: grey planes. Cost: about 0.1 us per pixel.
 
 use crate::align::transform::{Transform, map};
 use crate::plane::Plane;
@@ -12,13 +12,13 @@ pub(crate) struct Scene {
     seed: u64,
 }
 
-/// The exposure and noise of a photograph: the camera's response is x^(1/2.2), radiance 1 at 0 EV gives code 117, and
-/// 5.6 is clipped.
+/// The exposure and noise of a photograph. The camera's response is x^(1/2.2); at 0 EV, radiance 1 gives code value
+/// 117, and radiance 5.6 is clipped.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Shot {
     /// Exposure.
     pub(crate) ev: f64,
-    /// Standard deviation of the noise, in codes, before rounding.
+    /// Standard deviation of the noise, in code values, before rounding.
     pub(crate) noise: f64,
     /// Seed of the noise.
     pub(crate) seed: u64,
@@ -30,8 +30,8 @@ impl Shot {
     }
 }
 
-/// Lattice spacing in pixels and weight in stops of each layer of noise. The finest has features of about 5 px: well
-/// sampled.
+/// Lattice spacing in pixels, and weight in stops, of each layer of noise. The finest layer has features of about 5 px,
+/// so it is well sampled.
 const LAYERS: [(f64, f64); 5] = [(150.0, 2.0), (61.0, 2.0), (27.0, 1.7), (12.0, 1.2), (5.3, 0.7)];
 
 impl Scene {
@@ -39,21 +39,22 @@ impl Scene {
         Scene { seed }
     }
 
-    /// Radiance at a place, from 2^-4 to 2^5 or so, about 1 at the median.
+    /// Returns the radiance at (x, y): from about 2^-4 to 2^5, with a median of about 1.
     pub(crate) fn radiance(&self, x: f64, y: f64) -> f64 {
         let mut stops = 0.0;
         for (k, (spacing, weight)) in LAYERS.iter().enumerate() {
-            // Every layer's lattice is turned against the others, so that nothing is aligned to the pixels.
+            // Every layer's lattice is rotated by another angle, so that none is aligned to the pixels.
             let (s, c) = (0.5 + 0.7 * k as f64).sin_cos();
             stops += weight * self.layer(k as u64, (c * x - s * y) / spacing, (s * x + c * y) / spacing);
         }
-        // Objects: where a layer of 35 px is positive, three halves of a stop brighter, the edge about 2 px wide.
+        // Objects: where a layer with a lattice of 35 px is positive, the scene is 1.5 stops brighter than elsewhere;
+        // the edge is about 2 px wide.
         let objects = self.layer(9, (0.8 * x + 0.6 * y) / 35.0, (0.8 * y - 0.6 * x) / 35.0);
         stops += 0.75 * (16.0 * objects).tanh();
         stops.exp2()
     }
 
-    /// Smooth noise within -1..=1: values at whole places, joined by quintics.
+    /// Returns smooth noise within -1..=1: random values at integer positions, interpolated by a quintic polynomial.
     fn layer(&self, k: u64, x: f64, y: f64) -> f64 {
         let (i, j) = (x.floor(), y.floor());
         let ease = |t: f64| t * t * t * (t * (6.0 * t - 15.0) + 10.0);
@@ -63,14 +64,14 @@ impl Scene {
         top + v * (bottom - top)
     }
 
-    /// The photograph of a camera under `transform`, which takes a place of the scene (a pixel of an unmoved camera) to
-    /// a pixel.
+    /// Returns the photograph by a camera that moved by `transform`, which maps a position of the scene (a pixel of an
+    /// unmoved camera) to a pixel of the photograph.
     pub(crate) fn photograph(&self, size: (usize, usize), transform: &Transform, shot: Shot) -> Plane<u8> {
         photograph(size, transform, shot, |x, y| self.radiance(x, y))
     }
 }
 
-/// The photograph of any radiance.
+/// Returns the photograph of a scene that has `radiance(x, y)` at each position.
 pub(crate) fn photograph(
     (width, height): (usize, usize),
     transform: &Transform,
@@ -83,7 +84,8 @@ pub(crate) fn photograph(
         for (x, v) in row.iter_mut().enumerate() {
             let (u, w) = map(&back, x as f64, y as f64);
             let code = 255.0 * (gain * radiance(u, w)).min(1.0).powf(1.0 / 2.2);
-            // Four uniforms make it normal enough; each has variance 1/12.
+            // The sum of four uniform numbers is nearly normal. Each has a variance of 1/12, so the sum has a standard
+            // deviation of 1 / sqrt(3).
             let sum: f64 = (0..4).map(|k| uniform(shot.seed.wrapping_mul(77) + k, x as i64, y as i64) - 0.5).sum();
             let noisy = code + shot.noise * sum * 3f64.sqrt();
             // A clipped pixel is clipped whatever its noise.
@@ -92,7 +94,7 @@ pub(crate) fn photograph(
     })
 }
 
-/// A number within 0..1 that is a function of its arguments (splitmix64's mixing).
+/// Returns a pseudorandom number in 0..1 that depends only on the arguments (the mixing function of SplitMix64).
 pub(crate) fn uniform(seed: u64, i: i64, j: i64) -> f64 {
     let mut z = seed
         .wrapping_mul(0x9E37_79B9_7F4A_7C15)
@@ -103,17 +105,18 @@ pub(crate) fn uniform(seed: u64, i: i64, j: i64) -> f64 {
     ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
 }
 
-/// A shift.
+/// Returns a shift by (dx, dy) pixels.
 pub(crate) fn shift(dx: f64, dy: f64) -> Transform {
     Transform::Rigid { dx, dy, angle: 0.0 }
 }
 
-/// A shift and a rotation in degrees.
+/// Returns a shift by (dx, dy) pixels and a rotation in degrees.
 pub(crate) fn rigid(dx: f64, dy: f64, degrees: f64) -> Transform {
     Transform::Rigid { dx, dy, angle: degrees.to_radians() }
 }
 
-/// A perspective transform whose corners move by some pixels, each its own way, on a picture of some hundred pixels.
+/// Returns a perspective transform that moves the four corners of a picture of some hundred pixels by different
+/// displacements of some pixels.
 pub(crate) fn perspective() -> Transform {
     Transform::Homography(nalgebra::Matrix3::new(1.004, 0.006, -2.3, -0.005, 0.997, 3.1, 1.2e-5, -1.6e-5, 1.0))
 }

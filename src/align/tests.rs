@@ -1,4 +1,4 @@
-//! Placements of the frames of whole brackets.
+//! Tests of [`align`]: the placement of every frame of a bracket.
 
 use super::*;
 use crate::align::scene::{Scene, Shot, rigid, shift};
@@ -9,13 +9,14 @@ use crate::plane::Plane;
 
 const SIZE: (usize, usize) = (384, 256);
 
-/// A grey photograph as a frame.
+/// Returns a frame whose three channels are `grey`.
 fn frame(name: &str, grey: &Plane<u8>, ev: f64) -> Frame {
     let codes = grey.as_slice().iter().flat_map(|&v| [v, v, v]).collect();
     Frame::new(name.into(), grey.width(), grey.height(), Samples::Eight(codes), Exposure::given(ev).unwrap())
 }
 
-/// A bracket of the scene under these transforms and exposures; the frame given first is the reference.
+/// Returns a bracket of the scene, with a frame for each transform and exposure in EV; the first of `shots` is the
+/// reference.
 fn bracket(shots: &[(Transform, f64)]) -> Bracket {
     let frames = shots
         .iter()
@@ -42,14 +43,14 @@ fn three_exposures_are_placed_in_order_and_alike_on_any_threads() {
     let (alignment, warnings) = run(1);
     assert_eq!(run(3).0, alignment);
     assert!(warnings.is_empty(), "{warnings:?}");
-    // By rising exposure, whatever the order given.
+    // The bracket sorts its frames by rising exposure.
     assert_eq!(statuses(&alignment), [Status::Aligned, Status::Reference, Status::Aligned]);
     assert_eq!(alignment.placements[1].transform(), Some(Transform::Identity));
     assert_eq!(alignment.placements[1].error_px(), Some(0.0));
     for (i, truth, model) in [(0, dark, Model::Rigid), (2, bright, Model::Shift)] {
         let placement = &alignment.placements[i];
         assert_eq!(placement.model(), Some(model));
-        // As for `refine`'s own tests.
+        // The tests of `refinement` find such motions within 0.03 px; the limit is three times that.
         let error = placement.transform().unwrap().corner_distance(&truth, SIZE.0, SIZE.1);
         assert!(error < 0.1 && placement.confidence() > 0.8, "{error} {placement:?}");
     }
@@ -80,12 +81,12 @@ fn frame_of_another_scene_is_rejected_with_a_warning() {
     );
     let message = warnings[0].to_string();
     assert!(message.contains("--unmoved stranger") && message.contains("--align none"), "{message}");
-    // What was rejected does not narrow the overlap.
+    // The rejected frame does not narrow the overlap.
     assert!(alignment.overlap.width() > 375 && alignment.overlap.height() > 248);
 }
 
-/// Sixteen stops down even the lights, 5 stops up, give 255 (0.18 / 2^11)^(1 / 2.2) = 4 codes: nothing for the tiles to
-/// go by.
+/// Exposure, in EV, of a frame without usable detail. The lights have a radiance of 2^5 (`Scene::radiance`); at -16 EV
+/// their code value is 255 (0.18 * 2^(5 - 16))^(1 / 2.2) = 4, too little to compare tiles.
 const NEARLY_BLACK: f64 = -16.0;
 
 #[test]
@@ -102,7 +103,7 @@ fn black_frame_among_others_that_did_not_move_is_assumed_unmoved() {
 
 #[test]
 fn black_frame_among_others_that_moved_little_is_assumed_within_its_error() {
-    // A slow drift, in the order of the exposures.
+    // The camera drifts slowly, in the order of the exposures.
     let drift = |k: f64| shift(0.5 * k, -0.3 * k);
     let shots =
         [(drift(0.0), 0.0), (drift(1.0), 1.0), (drift(2.0), 2.0), (drift(-1.0), -1.0), (drift(-2.0), NEARLY_BLACK)];
@@ -126,7 +127,7 @@ fn a_black_frame_among_others_that_moved_is_rejected() {
         "{:?}",
         alignment.placements[0]
     );
-    // It takes no part in what follows.
+    // The rejected frame is not among the placed frames.
     let placed: Vec<_> =
         alignment.placed(&bracket).map(|(i, frame, transform)| (i, frame.path(), Some(transform))).collect();
     let expected = [1, 2].map(|i| (i, bracket.frames()[i].path(), alignment.placements[i].transform()));
@@ -148,8 +149,8 @@ fn frames_without_alignment_are_not_moved() {
 fn each_method_by_itself_finds_the_motion() {
     let truth = rigid(7.0, -5.0, 0.6);
     let bracket = bracket(&[(Transform::Identity, 0.0), (truth, 1.0)]);
-    // Bitmaps are good to 0.3 px and 0.02 deg, 0.08 px at 230 px from the centre; keypoints to a good part of a pixel
-    // each.
+    // Bitmaps are precise to 0.3 px and 0.02 degrees, which is 0.08 px at the corners, 230 px from the centre. The
+    // position of a keypoint has an error of about 0.6 px.
     for (mode, tolerance) in [(AlignMode::Mtb, 0.6), (AlignMode::Sift, 1.5), (AlignMode::Surf, 1.5)] {
         let (alignment, _) = align(&bracket, &AlignOptions { mode, ..AlignOptions::default() }).unwrap();
         let error = alignment.placements[1].transform().unwrap().corner_distance(&truth, SIZE.0, SIZE.1);
@@ -211,7 +212,7 @@ fn small_overlap_warns_and_no_overlap_fails() {
         let given = [1, 2].map(|i| Preset { path: format!("{i}").into(), place: place(shifts[i - 1]) }).to_vec();
         super::align(&bracket, &AlignOptions { given, ..AlignOptions::default() })
     };
-    // 384 pixels wide. Half of them are enough.
+    // The frames are 384 pixels wide; an overlap of half the width causes no warning.
     assert_eq!(align([-192.0, 0.0]).unwrap().1, []);
     for sign in [-1.0, 1.0] {
         let (alignment, warnings) = align([sign * 10.0, sign * 288.0]).unwrap();
@@ -221,7 +222,7 @@ fn small_overlap_warns_and_no_overlap_fails() {
         assert_eq!(warnings, [expected]);
         let error = align([0.0, sign * 400.0]).unwrap_err();
         assert!(matches!(&error, Error::NoOverlap { path, .. } if path.as_os_str() == "2"), "{error}");
-        // Each overlaps the reference, but not the other.
+        // Each of the two frames overlaps the reference, but not the other frame.
         assert!(
             matches!(align([-sign * 200.0, sign * 250.0]), Err(Error::NoOverlap { path, .. }) if path.as_os_str() == "2")
         );
@@ -230,8 +231,9 @@ fn small_overlap_warns_and_no_overlap_fails() {
 
 #[test]
 fn frame_beyond_a_rejected_one_is_placed_by_the_nearest_that_was() {
-    // Fourteen stops apart: the brightest has too little in common with the reference, and is placed by the frame
-    // between.
+    // The reference (-7 EV) and the brightest frame (7 EV) are 14 stops apart and have too little in common. With
+    // `middle` (0 EV) in the bracket, the brightest frame is aligned to `middle`, its nearest placed neighbour in
+    // exposure.
     let truth = shift(11.0, -7.0);
     let take = |name: &str, seed, transform: &Transform, ev| {
         frame(name, &Scene::new(seed).photograph(SIZE, transform, Shot::at(ev)), ev)

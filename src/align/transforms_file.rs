@@ -10,9 +10,10 @@
 //! ```
 //!
 //! `homography` holds nine numbers by rows, reference pixel -> frame pixel, (0, 0) the centre of the top-left pixel;
-//! null for a frame that is `rejected`. `rejected_by` is `alignment`, `user` or `flash` then, and null otherwise. Older
-//! files lack it: in these a frame that the user excluded is rejected with confidence 1. An `assumed` place is merged
-//! as one. A transform without `confidence` was set by the user, and has confidence 1.
+//! null for a frame that is `rejected`. For such a frame `rejected_by` is `alignment`, `user` or `flash`; otherwise it
+//! is null. Older files lack this key: there, a rejected frame with confidence 1 was excluded by the user. A frame that
+//! is `assumed` is merged as [`Placement::Assumed`]. A transform without `confidence` was set by the user, and has
+//! confidence 1.
 
 use crate::align::preset::{Preset, PresetTransform, check};
 use crate::align::result::{Alignment, Estimate, FeatureCounts, Found, KeypointCounts, Placement, RejectedBy, Status};
@@ -34,7 +35,7 @@ pub struct SavedAlignment {
     pub size: (usize, usize),
     /// The name of the reference's file.
     pub reference: PathBuf,
-    /// The other frames.
+    /// The name and the placement of every other frame.
     pub frames: Vec<Preset>,
 }
 
@@ -62,14 +63,14 @@ struct FrameDocument {
     reason: Option<String>,
 }
 
-/// The part of the file that holds its version.
+/// The part of the file that names its schema.
 #[derive(Deserialize)]
 struct Header {
     schema: String,
 }
 
 impl SavedAlignment {
-    /// The placements of all frames of `bracket` by `alignment`.
+    /// Returns the placements that `alignment` has for the frames of `bracket`.
     pub fn of(bracket: &Bracket, alignment: &Alignment) -> Self {
         let name = |i: usize| bracket.frames()[i].path().file_name().unwrap_or_default().into();
         let known = |i: usize| PresetTransform::Known(Box::new(alignment.placements[i].clone()), alignment.features[i]);
@@ -141,50 +142,54 @@ impl SavedAlignment {
         Ok(SavedAlignment { size, reference: document.reference.into(), frames: frames.collect::<Result<_>>()? })
     }
 
-    /// Checks whether this content of the file `path` is for the photographs `images`.
+    /// Checks whether this alignment, read from the file `path`, is for the photographs `images`.
     ///
     /// # Errors
-    /// [`Error::TransformsFile`] if its reference is not among them.
+    /// [`Error::TransformsFile`] if the reference is not among `images`.
     pub fn check_names(&self, images: &[PathBuf], path: &Path) -> Result<()> {
         let images: Vec<&Path> = images.iter().map(PathBuf::as_path).collect();
         if bracket::named(&images, &self.reference).is_some() {
             return Ok(());
         }
         let reason = format!(
-            "it is for other photographs: its reference, {}, is not among these; name another file to create one for these",
+            "it is for other photographs, because its reference {} is not among these; give the name of a new file to create one for these",
             self.reference.display()
         );
         Err(Error::TransformsFile { path: path.to_owned(), reason })
     }
 
-    /// Checks whether this content of the file `path` is for `bracket`.
+    /// Checks whether this alignment, read from the file `path`, is for `bracket`.
     ///
     /// # Errors
-    /// [`Error::TransformsFile`] if the frames have another size, the reference is another, or none of the frames is in the
-    /// file.
+    /// [`Error::TransformsFile`] if the size or the reference differs from that of `bracket`, or if it has none of the
+    /// frames.
     pub fn check(&self, bracket: &Bracket, path: &Path) -> Result<()> {
         let wrong = |reason: String| Err(Error::TransformsFile { path: path.to_owned(), reason });
         let (width, height) = (bracket.width(), bracket.height());
         if self.size != (width, height) {
             let (w, h) = self.size;
-            return wrong(format!("it is for photographs of {w}x{h} pixels, and these are {width}x{height}"));
+            return wrong(format!(
+                "it is for photographs of {w}x{h} pixels, but these have {width}x{height}; give the name of a new file to create one for these"
+            ));
         }
         if bracket.named(&self.reference) != Some(bracket.reference_index()) {
             return wrong(format!(
-                "its reference is {}, and this bracket's is {}; give --reference {} or remove the file",
+                "its reference is {}, but this bracket has the reference {}; give --reference {}, or delete the file",
                 self.reference.display(),
                 bracket.reference().path().display(),
                 self.reference.display()
             ));
         }
         if !self.frames.iter().any(|given| bracket.named(&given.path).is_some()) {
-            return wrong("it contains none of these photographs; remove it to create one for them".into());
+            return wrong(
+                "it contains none of these photographs; give the name of a new file to create one for these".into(),
+            );
         }
         Ok(())
     }
 }
 
-/// The placement that `frame` describes, or what is wrong with it.
+/// Returns the placement and the feature counts that `frame` describes, or what is wrong with `frame`.
 fn found(frame: FrameDocument, size: (usize, usize)) -> std::result::Result<Found, String> {
     let features = FeatureCounts { inliers: frame.inliers, keypoints: frame.keypoints };
     let placement = if frame.status.rejected_by().is_some() {
@@ -196,7 +201,7 @@ fn found(frame: FrameDocument, size: (usize, usize)) -> std::result::Result<Foun
         let by_default = if by == RejectedBy::Alignment { 0.0 } else { 1.0 };
         Placement::Rejected { by, confidence: frame.confidence.unwrap_or(by_default), reason: frame.reason }
     } else {
-        let homography = frame.homography.ok_or("it is to be merged, but has no homography")?;
+        let homography = frame.homography.ok_or("it is merged according to its status, but has no homography; add nine numbers, or set the status to excluded")?;
         let h = Matrix3::from_row_slice(&homography);
         let transform = match frame.status {
             Status::Unmoved | Status::Assumed if h == Matrix3::identity() => Transform::Identity,
@@ -270,7 +275,7 @@ mod tests {
             (json.replace("\"confidence\": 0.75", "\"confidence\": 1.5"), "a.jpg: its confidence"),
             (
                 json.replace("\"status\": \"rejected\"", "\"status\": \"unmoved\""),
-                "d.jpg: it is to be merged, but has no",
+                "d.jpg: it is merged according to its status, but has no",
             ),
             (json.replace("\"width_px\": 400,", ""), "width_px"),
         ] {
@@ -297,7 +302,7 @@ mod tests {
         assert_eq!(status(base.clone()), Status::Rejected);
         assert_eq!(status(with("rejected_by", "user".into())), Status::Excluded);
         assert_eq!(status(with("rejected_by", "alignment".into())), Status::Rejected);
-        // As the versions before the key wrote it.
+        // As written by the versions that did not have the key `rejected_by` yet.
         assert_eq!(status(with("confidence", 1.0.into())), Status::Excluded);
         assert_eq!(status(with("confidence", 0.2.into())), Status::Rejected);
     }

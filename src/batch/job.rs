@@ -39,7 +39,7 @@ pub struct Brief {
 }
 
 impl Brief {
-    /// Extracts it from a report.
+    /// Extracts the brief from a report.
     pub fn of(report: &Value) -> Brief {
         let list = |value: &Value, key: &str| value[key].as_array().cloned().unwrap_or_default();
         let warnings = list(report, "warnings");
@@ -57,7 +57,7 @@ impl Brief {
         }
     }
 
-    /// Reads it from the report in the file `path`.
+    /// Extracts the brief from the report in the file `path`; `None` if that cannot be read.
     pub fn read(path: &Path) -> Option<Brief> {
         Some(Brief::of(&serde_json::from_slice(&intake::whole(path, intake::MOST_OF_A_TEXT).ok()?).ok()?))
     }
@@ -66,13 +66,13 @@ impl Brief {
 /// The state of a job after its pixels were computed.
 #[derive(Debug)]
 pub enum Started<'a> {
-    /// It was done before, with the same inputs, options and version.
+    /// The job was done in an earlier run, with the same inputs, options and version.
     Unchanged(Brief),
-    /// Everything is written except the final names.
+    /// All results are written to temporary files, which do not have their final names yet.
     Made(Box<Made<'a>>),
 }
 
-/// Files of a job that wait for the disk and for their names.
+/// A job whose files are written, but may not be on the disk yet and do not have their final names.
 #[derive(Debug)]
 pub struct Made<'a> {
     job: &'a Job,
@@ -84,20 +84,21 @@ pub struct Made<'a> {
     prepared: Prepared,
 }
 
-/// Results of either kind of job.
+/// The temporary files of a job and its report, by the kind of the job.
 #[derive(Debug)]
 enum Prepared {
     Merged(Box<pipeline::Prepared<Report>>),
     Recovered(Box<pipeline::Prepared<CameraReport>>),
 }
 
-/// Runs `job` up to the naming of its files. All `options` apply except those in the job itself: files and
-/// response. With `force` it is run again, and files of others are replaced.
+/// Runs `job` up to the naming of its files. Of `options`, the job itself replaces the files, the response and the unit
+/// of radiance. With `force` a finished job is run again, and existing files are replaced even if the job did not write
+/// them.
 ///
 /// # Errors
 /// Those of [`pipeline::run`]; [`Error::Changed`] if a photograph changed during the run; [`Error::OutputExists`],
-/// [`Error::OutputChanged`] and [`Error::OtherPhotographs`] for a result that neither this job nor an earlier form
-/// of it wrote; [`Error::FrameLost`].
+/// [`Error::OutputChanged`] and [`Error::OtherPhotographs`] for an existing result that neither this job nor an earlier
+/// form of it wrote; [`Error::FrameLost`] if a photograph of the earlier run still exists, but is not in the job.
 pub fn begin<'a>(job: &'a Job, options: &Options, force: bool, watch: Watch) -> Result<Started<'a>> {
     let stamps: Vec<Stamp> = job.inputs.iter().map(|path| Stamp::of(path)).collect::<Result<_>>()?;
     let inputs: Vec<Content> = job.inputs.iter().map(|path| Content::of(path)).collect::<Result<_>>()?;
@@ -117,7 +118,8 @@ pub fn begin<'a>(job: &'a Job, options: &Options, force: bool, watch: Watch) -> 
     }
     let folder = job.report.parent().unwrap_or(Path::new("."));
     fs::create_dir_all(folder).map_err(|source| Error::Write { path: folder.to_owned(), source })?;
-    // Checked here, because the message of the run would name -o, which is not an option of a batch.
+    // The names are checked here, because the message of `pipeline::prepare` would mention -o, which is not an option
+    // of `batch`.
     write::check_targets(&Target::of("--name", &results), &job.inputs, true)?;
     let older = existing.iter().filter(|path| **path != job.report);
     let replaced = older.map(|path| Ok(Content::of(path)?.sha256)).collect::<Result<_>>()?;
@@ -134,8 +136,8 @@ pub fn begin<'a>(job: &'a Job, options: &Options, force: bool, watch: Watch) -> 
             Prepared::Recovered(Box::new(camera::prepare(&job.by_bracket(), &options, watch)?))
         }
     };
-    // The record must describe the photographs that were merged: they are read once for the record, and once for
-    // their pixels.
+    // Photographs are read once for the record and once for their pixels. If they changed in between, the record would
+    // not describe the photographs that were merged.
     stamps.iter().try_for_each(Stamp::check)?;
     Ok(Started::Made(Box::new(Made { job, key, inputs, replaced, existing, prepared })))
 }
@@ -175,14 +177,14 @@ fn acting(job: &Job, options: &Options) -> Options {
     options.report.clone_from(&job.page);
     options.response_file.clone_from(&job.response);
     options.unit_exposure = job.unit_exposure_s;
-    // Existing files are checked here, one by one.
+    // `check_existing` decides which existing files may be replaced.
     options.write.overwrite = true;
     options
 }
 
 impl Made<'_> {
-    /// Waits until everything is on the disk and names the files: first the report, so that the others are known as
-    /// this job's even if it is interrupted.
+    /// Waits until all files are on the disk, and gives them their names: first the report, so that its record shows
+    /// that the other files are from this job even if the process is interrupted.
     ///
     /// # Errors
     /// [`Error::Write`]; [`Error::OutputExists`] if a file was created in the meantime.
@@ -220,8 +222,8 @@ impl Made<'_> {
     }
 }
 
-/// Names the report and then the results; files that are `existing`, or that a `twin` wrote in the meantime, are
-/// replaced.
+/// Names the report and then the results. Files in `existing`, and files that another process wrote in the meantime for
+/// the same job (`twin` is its record), are replaced.
 fn place(report: CompleteFile, files: Vec<CompleteFile>, existing: &[PathBuf], twin: Option<Record>) -> Result<()> {
     let is_ours = |path: &Path| existing.iter().any(|there| there == path);
     let replaces_report = is_ours(report.target()) || twin.is_some();
@@ -233,13 +235,14 @@ fn place(report: CompleteFile, files: Vec<CompleteFile>, existing: &[PathBuf], t
     write::rename_all(new, false)
 }
 
-/// Returns the record of another process that ran the same job in the meantime: an engine may start a job again
-/// while it is still running elsewhere.
+/// Returns the record of another process that ran the same job in the meantime, if any: a workflow engine may start a
+/// job again while it is still running elsewhere.
 fn twin(job: &Job, key: &str) -> Option<Record> {
     Record::read(&job.report).filter(|record| record.key == key)
 }
 
-/// Whether a twin has named all of its files, which are the same; waits if it is about to.
+/// Returns whether another process that runs the same job, and so writes the same files, has named all of them. Waits
+/// for this at most [`TRIES`] tenths of a second.
 fn is_done_by_twin(job: &Job, own: &Record) -> bool {
     let results: Vec<PathBuf> = job.outputs.iter().chain(&job.page).cloned().collect();
     let is_done = || twin(job, &own.key).is_some_and(|record| record.is_whole(&results));
@@ -249,22 +252,22 @@ fn is_done_by_twin(job: &Job, own: &Record) -> bool {
     })
 }
 
-/// How long to wait for a twin, in tenths of a second.
+/// Longest time to wait for another process that names the same files, in tenths of a second.
 const TRIES: u32 = 50;
 
-/// Returns the content of a complete file before it has its name.
+/// Returns the [`Content`] of a complete temporary file under its final name.
 fn content(file: &CompleteFile) -> Result<Content> {
     let target = file.target();
     let failed = |source| Error::Write { path: target.to_owned(), source };
     Content::read(target, file.open().map_err(failed)?).map_err(failed)
 }
 
-/// Only strings, numbers and lists of them: conversion cannot fail.
+/// Returns `report` as JSON. It contains only strings, numbers and lists of them, so the conversion cannot fail.
 fn as_value(report: &impl Serialize) -> Value {
     serde_json::to_value(report).unwrap_or_default()
 }
 
-/// Runs `job` completely. Returns its brief, and whether there was work to do.
+/// Runs `job` completely. Returns its brief, and true if it was run, or false if its results existed already.
 ///
 /// # Errors
 /// Those of [`begin`] and [`Made::commit`]; they are also written to [`Job::failure`].
@@ -291,7 +294,7 @@ pub struct Failure {
 }
 
 impl Failure {
-    /// The recorded failure of `job`, if any.
+    /// Returns the recorded failure of `job`, if any.
     pub fn read(job: &Job) -> Option<Failure> {
         let failure: Failure =
             serde_json::from_slice(&intake::whole(&job.failure, intake::MOST_OF_A_TEXT).ok()?).ok()?;
@@ -302,8 +305,8 @@ impl Failure {
 /// The version of the format of failures.
 const FAILURE: &str = "hdralign-failure/1";
 
-/// Writes the error of `job` to a file beside its results. If that is not possible, or a file of somebody else has
-/// the name, nothing is written.
+/// Writes `error` to [`Job::failure`], beside the results of `job`. Nothing happens if this is not possible, or if a
+/// file with that name exists that is not a recorded failure.
 pub fn remember_failure(job: &Job, error: &str) {
     let failure = Failure { schema: FAILURE.into(), id: job.id.clone(), error: error.into() };
     let text = serde_json::to_string_pretty(&failure).unwrap_or_default() + "\n";
@@ -316,7 +319,7 @@ pub fn remember_failure(job: &Job, error: &str) {
 /// Removes the recorded failure of a completed job.
 fn forget_failure(job: &Job) {
     if Failure::read(job).is_some() {
-        // A failure file that cannot be removed is older than the report, which the summary checks.
+        // An error is ignored: the results are complete. A summary from files then shows the old failure.
         let _ = fs::remove_file(&job.failure);
     }
 }

@@ -21,7 +21,7 @@ enum Field {
     Time,
 }
 
-/// The fields as typed, with their meaning.
+/// The name of each field as the user types it, the field, and its meaning for the help.
 const FIELDS: [(&str, Field, &str); 9] = [
     ("folder", Field::Folder, "the folder of the photographs, relative to the searched folder"),
     ("first", Field::First, "the first photograph by name, without extension"),
@@ -47,7 +47,7 @@ pub struct Template(Vec<Part>);
 /// The values of the fields for one bracket; unknown values become `unknown`.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Values {
-    /// The folder of the photographs, relative.
+    /// The folder of the photographs, relative to the searched folder or to the parent of that.
     pub folder: PathBuf,
     /// The first photograph by name, without extension.
     pub first: OsString,
@@ -55,7 +55,7 @@ pub struct Values {
     pub last: OsString,
     /// The bracket's number, from 1.
     pub number: usize,
-    /// Its number of photographs.
+    /// Number of photographs of the bracket.
     pub count: usize,
     /// The number of the panorama that contains the bracket, from 1.
     pub set: usize,
@@ -115,7 +115,7 @@ impl Template {
         Ok(Template(parts))
     }
 
-    /// Returns the list of fields, one per line.
+    /// Returns the fields with their meanings for the help, one per line.
     pub fn help() -> String {
         FIELDS.iter().map(|(name, _, about)| format!("  {:<10} {about}\n", format!("{{{name}}}"))).collect()
     }

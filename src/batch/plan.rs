@@ -1,8 +1,8 @@
-//! The plan: one line for each job, which any workflow engine can run on any machine, in any order that respects
-//! `needs`.
+//! The plan: one line for each job. Any workflow engine can run the jobs on any machine, in any order in which each job
+//! comes after those in its `needs`.
 //!
-//! In: the brackets that were found, and settings for the results. Out: [`Job`]s, and JSON lines of them. Cost:
-//! negligible.
+//! In: the brackets that were found, and settings for the results. Out: [`Job`]s, each of which can be written as a
+//! line of JSON. Cost: negligible.
 //!
 //! A job needs only its own files: its line contains everything that affects its results. Paths are absolute.
 
@@ -38,7 +38,7 @@ pub enum Kind {
 pub struct Job {
     /// [`SCHEMA`].
     pub schema: String,
-    /// The program and its version: another version may write other bytes.
+    /// The program and its version, because the files of another version may have other bytes.
     pub software: String,
     /// The kind of job.
     pub kind: Kind,
@@ -46,15 +46,15 @@ pub struct Job {
     pub id: String,
     /// Ids of the jobs that must be done first.
     pub needs: Vec<String>,
-    /// The photographs in order; those of all brackets, one bracket after the other.
+    /// The photographs in order. If the job has several brackets, one bracket follows the other.
     pub inputs: Vec<PathBuf>,
-    /// The number of inputs of each bracket.
+    /// Number of inputs of each bracket.
     pub brackets: Vec<usize>,
     /// The number of the panorama that contains the bracket, from 1; null for a response.
     pub set: Option<usize>,
     /// The result files.
     pub outputs: Vec<PathBuf>,
-    /// The results that are pictures, for any extension.
+    /// Those of `outputs` that are tone-mapped pictures whatever their extension, from `--pictures`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub pictures: Vec<PathBuf>,
     /// The report page, if requested.
@@ -65,10 +65,10 @@ pub struct Job {
     pub failure: PathBuf,
     /// The response file; null if the response is recovered from the bracket.
     pub response: Option<PathBuf>,
-    /// The relative exposure t ISO / N^2 (s) at which radiance 1 gives the middle code; null for that of the
-    /// reference frame.
+    /// The relative exposure t ISO / N^2 (s) at which radiance 1 has the middle code value; null for the exposure of
+    /// the reference frame.
     pub unit_exposure_s: Option<f64>,
-    /// Options of `hdralign batch` that affect the results, as typed.
+    /// Options of `hdralign batch` that affect the results, as the user typed them.
     pub options: Vec<String>,
     /// Width of the photographs.
     pub width_px: usize,
@@ -76,34 +76,34 @@ pub struct Job {
     pub height_px: usize,
     /// Number of threads for which the estimates are made.
     pub threads: usize,
-    /// Estimated memory in units of 10^6 bytes; it is sufficient.
+    /// Upper bound of the memory, in units of 10^6 bytes.
     pub memory_mb: u64,
     /// Approximate wall time on one core of a server of 2023, in seconds.
     pub time_s: f64,
-    /// The summary of all jobs.
+    /// The file of the summary of all jobs.
     pub summary: PathBuf,
 }
 
-/// A bracket, with what its job depends on.
+/// A bracket, with everything that its job depends on.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Planned {
-    /// The searched folder; results go there if no other folder is given.
+    /// The searched folder that contains the bracket.
     pub root: PathBuf,
     /// The folder of the photographs, relative to `root`.
     pub folder: PathBuf,
     /// The photographs in order.
     pub photographs: Vec<PathBuf>,
-    /// Width and height of each in pixels, after EXIF orientation.
+    /// Width and height of each photograph in pixels, after EXIF orientation.
     pub size: (usize, usize),
     /// Bits per sample.
     pub depth: u8,
     /// Relative exposures t ISO / N^2 (s) of the photographs that have one.
     pub exposures: Vec<f64>,
-    /// Make and model.
+    /// Make and model of the camera.
     pub camera: Option<String>,
-    /// The time when it was taken, as in EXIF.
+    /// The time when the bracket was taken, as in EXIF.
     pub date_time: Option<String>,
-    /// The number of the panorama that contains it, from 1.
+    /// The number of the panorama that contains the bracket, from 1.
     pub set: usize,
 }
 
@@ -129,24 +129,24 @@ impl From<&FoundBracket> for Planned {
 #[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
 #[strum(serialize_all = "kebab-case")]
 pub enum Normalisation {
-    /// Each bracket has its own, that of its reference frame.
+    /// Each bracket has its own scale, from the exposure of its reference frame.
     #[default]
     Bracket,
-    /// One for all brackets of a panorama, so that their overlaps have the same radiance.
+    /// All brackets of a panorama have the same scale, so that they can be stitched.
     Set,
-    /// The same for all brackets.
+    /// All brackets of the run have the same scale.
     All,
 }
 
 /// The source of the response.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub enum Responses {
-    /// Recovered from each bracket.
+    /// The response of each bracket is recovered from that bracket.
     #[default]
     Own,
-    /// A file, for all brackets.
+    /// This response file is used for all brackets.
     Given(PathBuf),
-    /// One for each camera, recovered from all its brackets.
+    /// One response for each camera is recovered from all brackets of that camera.
     Shared,
 }
 
@@ -155,7 +155,7 @@ pub enum Responses {
 pub struct Settings {
     /// The folder for results; `None` for the folder of the photographs.
     pub output: Option<PathBuf>,
-    /// The template for names in that folder.
+    /// The template for the names of results.
     pub template: Template,
     /// Extensions of the results, without dots; at least one.
     pub formats: Vec<String>,
@@ -167,7 +167,7 @@ pub struct Settings {
     pub responses: Responses,
     /// The exposure that defines the unit of radiance.
     pub normalisation: Normalisation,
-    /// Options that affect the results, as typed.
+    /// Options that affect the results, as the user typed them.
     pub options: Vec<String>,
     /// Whether motion is detected.
     pub seeks_ghosts: bool,
@@ -175,8 +175,8 @@ pub struct Settings {
     pub fuses: bool,
 }
 
-/// Returns the jobs for `brackets`, responses first. Ids and names are unique, and are the same for any order of
-/// `brackets` unless names collide.
+/// Returns the jobs for `brackets`, those for responses first. Ids and names of files are unique. They do not depend on
+/// the order of `brackets`, except for names that collide.
 ///
 /// # Errors
 /// [`Error::Option`] if a path cannot be made absolute.
@@ -203,8 +203,7 @@ pub fn plan(brackets: &[Planned], settings: &Settings) -> Result<Vec<Job>> {
             settings.template.path(&values(bracket, i, if roots.len() > 1 { Some(&bracket.root) } else { None }));
         let base = match &settings.output {
             Some(_) => home.join(&name),
-            // In the folder of the photographs, relative to the searched folder; several searched folders are
-            // different places already.
+            // Results go to the searched folder of the bracket, so the name need not contain the name of that folder.
             None => absolute(&bracket.root)?.join(settings.template.path(&values(bracket, i, None))),
         };
         let formats = || settings.formats.iter().chain(&settings.pictures).map(String::as_str);
@@ -318,7 +317,7 @@ fn responses(
     Ok(jobs)
 }
 
-/// Bytes per pixel in memory.
+/// Returns the bytes per pixel of a frame in memory, for `depth` bits per sample.
 fn bytes(depth: u8) -> usize {
     if depth > 8 { 6 } else { 3 }
 }
@@ -330,7 +329,7 @@ fn rounded(seconds: f64) -> f64 {
 fn values(bracket: &Planned, index: usize, root: Option<&Path>) -> Values {
     let stem = |path: Option<&PathBuf>| path.and_then(|p| p.file_stem()).unwrap_or_default().to_owned();
     let names = || bracket.photographs.iter();
-    // If several folders were searched, each has its own folder for results.
+    // `root` is given if several folders were searched: each has a folder of its name for its results.
     let below = root.and_then(Path::file_name).map(PathBuf::from).unwrap_or_default();
     Values {
         folder: below.join(&bracket.folder),
@@ -344,7 +343,7 @@ fn values(bracket: &Planned, index: usize, root: Option<&Path>) -> Values {
     }
 }
 
-/// Returns the group of brackets that share a unit with `bracket`.
+/// Returns the number of the group of brackets that share a unit of radiance with `bracket`; `None` if it shares none.
 fn unit_of(bracket: &Planned, normalisation: Normalisation) -> Option<usize> {
     match normalisation {
         Normalisation::Bracket => None,
@@ -353,8 +352,9 @@ fn unit_of(bracket: &Planned, normalisation: Normalisation) -> Option<usize> {
     }
 }
 
-/// Returns the median exposure of all brackets that share a unit: about that of their reference frames. It is 1 s if
-/// none is known, and the job then reports that the photographs have no exposure.
+/// Returns the median exposure of each group of brackets that share a unit of radiance, by [`unit_of`]: about the
+/// exposure of their reference frames. It is 1 s if no exposure is known; the job then reports that the photographs
+/// have no exposure.
 fn units(brackets: &[Planned], normalisation: Normalisation) -> BTreeMap<Option<usize>, Option<f64>> {
     let mut exposures: BTreeMap<Option<usize>, Vec<f64>> = BTreeMap::new();
     for bracket in brackets {
@@ -368,7 +368,7 @@ fn units(brackets: &[Planned], normalisation: Normalisation) -> BTreeMap<Option<
 }
 
 impl Job {
-    /// Returns the job as a line of JSON, without a line feed.
+    /// Returns the job as a line of JSON, without the line feed.
     ///
     /// # Errors
     /// [`Error::Option`] if a path is not valid UTF-8, because JSON cannot contain it.
@@ -387,7 +387,8 @@ impl Job {
     /// Reads the jobs in the file `path`.
     ///
     /// # Errors
-    /// [`Error::Read`]; [`Error::PlanFile`] if it is not a plan, has another version, or contains an id twice.
+    /// [`Error::Read`]; [`Error::PlanFile`] if the file is not a plan, has another version of the format, or contains
+    /// an id twice.
     pub fn read_all(path: &Path) -> Result<Vec<Job>> {
         let text = intake::text(path, intake::MOST_OF_A_PLAN)?;
         let refused = |line: usize, reason: String| Error::PlanFile { path: path.to_owned(), line, reason };
@@ -412,8 +413,8 @@ impl Job {
     /// Reads the jobs `ids` of the plan in the file `path`, in that order.
     ///
     /// # Errors
-    /// Those of [`read_all`](Self::read_all); [`Error::Option`] if there is no such job, or if another version of
-    /// hdralign made the plan.
+    /// Those of [`read_all`](Self::read_all); [`Error::Option`] if the plan has no job with one of the ids, or if
+    /// another version of hdralign made the plan.
     pub fn read(path: &Path, ids: &[String]) -> Result<Vec<Job>> {
         let all = Job::read_all(path)?;
         ids.iter().map(|id| Job::named(path, &all, id)).collect()
@@ -426,7 +427,7 @@ impl Job {
             Some(job) if job.software != super::SOFTWARE => refused(
                 "--run",
                 format!(
-                    "{}: this plan is from {}, and this is {}, whose results may have other bytes; create the plan again",
+                    "{}: this plan was made by {}, but you are running {}, and its results may differ; create the plan again",
                     path.display(),
                     job.software,
                     super::SOFTWARE

@@ -1,8 +1,8 @@
 //! The record of a job, by which a later run recognises complete results and its own files.
 //!
-//! In: a job, its options, and its files. Out: a key of its inputs, options and version (by hash, not by date), and
-//! a record of the files that were written, stored in the job's report under `job`. Cost: every input and output is
-//! read once, for SHA-256.
+//! In: a job, its options, and its files. Out: a key of its inputs, options and version (by hash, not by date), and a
+//! record of the files that were written, stored in the job's report under the key `step`. Cost: every input and output
+//! is read once, for SHA-256.
 //!
 //! The report gets its final name before the results do. If the process is killed between the two, the results in the
 //! record are missing or still those of the previous run. [`Record::is_whole`] detects this, and the record lists the
@@ -20,22 +20,22 @@ use std::fs;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
-/// Bytes per read.
+/// Size of the buffer for reading, in bytes.
 const AT_ONCE: usize = 1 << 18;
 
-/// The content of a file.
+/// The name, length and hash of a file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Content {
-    /// Its name, without the folder; bytes that are not valid UTF-8 become a replacement character.
+    /// The name of the file, without the folder; bytes that are not valid UTF-8 become a replacement character.
     pub name: String,
-    /// Its length in bytes.
+    /// The length in bytes.
     pub bytes: u64,
-    /// SHA-256 of its bytes, in hexadecimal digits.
+    /// SHA-256 of the bytes, in hexadecimal digits.
     pub sha256: String,
 }
 
 impl Content {
-    /// Reads the content of the file `path`.
+    /// Reads the file `path` to determine its name, length and hash.
     ///
     /// # Errors
     /// [`Error::Read`].
@@ -44,7 +44,7 @@ impl Content {
         Content::read(path, intake::open_regular(path)?).map_err(failed)
     }
 
-    /// Reads the content of `file`, which has or will have the name `path`.
+    /// Reads `file`, which has or will have the name `path`, to determine its name, length and hash.
     ///
     /// # Errors
     /// Those of reading.
@@ -107,9 +107,9 @@ impl Record {
         Some(serde_json::from_slice::<Report>(&text).ok()?.job)
     }
 
-    /// Whether all `outputs` exist and are either those of this record, by length (only complete files get their
-    /// names), or were changed later by somebody else, to whom they now belong. Files of an earlier run are not
-    /// enough.
+    /// Returns whether each of `outputs` exists and is not left from an earlier run: either it has the length in this
+    /// record (which is enough, because only complete files get their names), or neither this run nor an earlier one
+    /// wrote it, so that somebody else changed it and it belongs to them.
     pub fn is_whole(&self, outputs: &[PathBuf]) -> bool {
         let is_there = |path: &PathBuf| {
             let Some(content) = self.outputs.iter().find(|content| content.name == name(path)) else { return false };
@@ -119,13 +119,13 @@ impl Record {
         outputs.iter().all(is_there)
     }
 
-    /// Whether this is the record of a bracket that has some of `inputs`, and not of other photographs with the same
+    /// Returns whether the recorded photographs include one of `inputs`, by hash; other photographs may have the same
     /// names.
     pub fn is_of(&self, inputs: &[Content]) -> bool {
         self.inputs.iter().any(|known| inputs.iter().any(|content| content.sha256 == known.sha256))
     }
 
-    /// Whether the file `path` was written by this run or one before it, by hash.
+    /// Returns whether the file `path` was written by the recorded run or an earlier one, by its hash.
     ///
     /// # Errors
     /// [`Error::Read`].
@@ -135,7 +135,7 @@ impl Record {
     }
 }
 
-/// Returns the key of `job` with `inputs` and `options`.
+/// Returns the [`Record::key`] of `job` with `inputs` and `options`.
 ///
 /// # Errors
 /// [`Error::Read`] for the response file.
@@ -146,8 +146,8 @@ pub fn key(job: &Job, inputs: &[Content], options: &Options) -> Result<String> {
         hash.update(text);
     };
     take(super::SOFTWARE);
-    // Every option is included, so that none can be forgotten here, except where results go and how much memory and
-    // how many threads they may use.
+    // All options are hashed by their debug format, so that a new option cannot be forgotten here, except those that do
+    // not affect the results: paths, memory, threads and limits. The response file is hashed by its content below.
     let mut acting =
         Options { threads: None, response_file: None, report: None, outputs: Vec::new(), ..options.clone() };
     acting.pictures = Vec::new();

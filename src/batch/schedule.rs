@@ -1,11 +1,11 @@
 //! Runs all jobs of a plan on one machine: as many at a time as cores and memory allow.
 //!
-//! In: jobs, each after those that it needs. Out: the outcome of each. Cost: that of the jobs. A job runs on one
-//! core while there are enough jobs, because that takes less time in total than several cores for one job; the last
-//! jobs share the remaining cores.
+//! In: jobs. Out: the outcome of each. Cost: that of the jobs. A job starts after the jobs that it needs. It runs on
+//! one core while there are enough jobs for all cores, because this takes less time in total than several cores for one
+//! job; the last jobs share the remaining cores.
 //!
-//! A separate thread waits for the disk and gives files their names, so that no core waits. A failed job stops only
-//! those that need it. Results do not depend on which jobs run at the same time.
+//! A separate thread waits for the disk and gives files their names, so that no core waits. If a job fails, only the
+//! jobs that need it are not run. Results do not depend on which jobs run at the same time.
 
 use super::job::{self, Brief, Made, Started};
 use super::plan::Job;
@@ -20,30 +20,30 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
-/// Number of jobs that may wait for the disk; if there are more, computing waits too.
+/// Largest number of computed jobs that wait for the disk; the thread that computes another one waits too.
 const WAITING: usize = 4;
 
 /// Resources of the machine.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Limits {
-    /// Number of jobs at a time; at least 1.
+    /// Largest number of jobs at a time; at least 1.
     pub jobs: usize,
-    /// Number of computing threads of all jobs together; at least 1.
+    /// Largest number of computing threads of all jobs together; at least 1.
     pub threads: usize,
-    /// Memory of all jobs together.
+    /// Largest memory of all jobs together; `None` for no limit.
     pub memory: Option<MemoryLimit>,
 }
 
 /// The outcome of a job.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Ending {
-    /// It was run.
+    /// The job was run.
     Done(Brief),
-    /// It was done in a previous run, with the same inputs, options and version.
+    /// The job was done in a previous run, with the same inputs, options and version.
     Unchanged(Brief),
-    /// It failed, with the reason.
+    /// The job failed, with this error message.
     Failed(String),
-    /// It was not started: the run was stopped before, or the disk of its results is full.
+    /// The job was not started: the batch was stopped before, or the disk for its results is full.
     NotStarted,
 }
 
@@ -54,12 +54,12 @@ pub enum Event<'a> {
     Begins(&'a Job),
     /// A job has ended.
     Ends(&'a Job, &'a Ending),
-    /// The disk of this job's results is full; no further job is started that writes to the same disk.
+    /// The disk for this job's results is full; no further job that writes to the same disk is started.
     Fills(&'a Job),
 }
 
-/// Runs `jobs` with `options`. Returns their outcomes in the same order. With `force` finished jobs are run again.
-/// After `stop` is set, running jobs are finished and no other is started.
+/// Runs `jobs` with `options`. Returns their outcomes in the order of `jobs`. With `force` jobs that were done before
+/// are run again. After `stop` is set, running jobs are finished and no other job is started.
 pub fn run(
     jobs: &[Job],
     options: &Options,
@@ -71,8 +71,8 @@ pub fn run(
     let board = Board::new(jobs, limits, stop, watch);
     let (to_namer, made) = sync_channel(WAITING);
     std::thread::scope(|scope| {
-        // This thread also works, and names files if there is no other thread for it, because the system may refuse
-        // threads.
+        // The system may refuse to start threads, so the current thread also runs jobs, and gives files their names if
+        // the thread for this could not be started.
         let thread = |name: &str| std::thread::Builder::new().name(name.into());
         let _ = thread("hdralign names").spawn_scoped(scope, || name(&board, made));
         for _ in 1..workers(jobs, limits) {
@@ -85,17 +85,18 @@ pub fn run(
     board.endings()
 }
 
-/// Returns the largest number of jobs at a time, by their number and by memory.
+/// Returns the largest number of jobs at a time, by [`Limits::jobs`], the number of jobs and the memory of the
+/// smallest.
 fn workers(jobs: &[Job], limits: &Limits) -> usize {
     let least = jobs.iter().map(pixels).min().unwrap_or(0).max(1);
     let fitting = usize::try_from(capacity(limits) / least).unwrap_or(usize::MAX);
     limits.jobs.min(jobs.len()).min(fitting).max(1)
 }
 
-/// Runs one job after the other.
+/// Runs one job of the board after the other, until no job is left to start.
 fn work<'a>(board: &Board<'a>, options: &Options, force: bool, to_namer: &SyncSender<(usize, Box<Made<'a>>)>) {
-    // The thread pool is kept from job to job, because memory of its threads is not returned when it ends. It is
-    // dropped while there is no work, because it keeps that memory.
+    // The thread pool is reused for the next job, because a new pool would leave the memory of the old threads behind.
+    // While there is no work, it is dropped, because idle threads keep memory that other jobs need.
     let mut pool: Option<ThreadPool> = None;
     while let Some((i, share)) = board.take(|| pool = None) {
         let own = share.options(options);
@@ -119,7 +120,7 @@ fn work<'a>(board: &Board<'a>, options: &Options, force: bool, to_namer: &SyncSe
     }
 }
 
-/// Waits for the disk, and names the files.
+/// For each computed job, waits until its files are on the disk, and gives them their names.
 fn name(board: &Board, made: Receiver<(usize, Box<Made>)>) {
     made.iter().for_each(|(i, made)| board.end(i, named(board, i, made)));
 }
@@ -128,7 +129,7 @@ fn named(board: &Board, i: usize, made: Box<Made>) -> Ending {
     guarded(|| made.commit(), || board.fill(i)).map_or_else(Ending::Failed, Ending::Done)
 }
 
-/// Runs `work`. A panic fails only this job. If the disk is full, `fill` is called.
+/// Runs `work` for a job. Returns its result, or the message of an error or panic. Calls `fill` if the disk is full.
 fn guarded<R>(work: impl FnOnce() -> Result<R>, fill: impl FnOnce()) -> std::result::Result<R, String> {
     let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(work));
     let result = outcome.map_err(|panic| {
@@ -144,7 +145,7 @@ fn guarded<R>(work: impl FnOnce() -> Result<R>, fill: impl FnOnce()) -> std::res
     })
 }
 
-/// Returns the disk of the results of `job`; if it is not known, all jobs count as on one disk.
+/// Returns the device number of the disk for the results of `job`; 0 if it is not known.
 #[cfg(unix)]
 fn disk(job: &Job) -> u64 {
     use std::os::unix::fs::MetadataExt;
@@ -160,18 +161,19 @@ fn disk(_: &Job) -> u64 {
     0
 }
 
-/// Resources of one job.
+/// The resources that one job may use.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Share {
     threads: usize,
-    /// Bytes of the total memory: for pixels, and for threads in addition to the first.
+    /// Bytes of the total memory for the pixels of the job, and for its threads after the first.
     taken: u64,
 }
 
 impl Share {
-    /// Returns the share of a job that needs `pixels` of the `free` bytes and `thread` bytes for each additional
-    /// thread, and may use at most `threads`: a small job has as many threads as memory allows; a large one uses
-    /// memory of its pixels for them.
+    /// Returns the share of a job that needs `pixels` of the `free` bytes, `thread` bytes for each thread after the
+    /// first, and may use at most `threads` threads. If `free` is not enough for all threads, a job whose pixels need
+    /// at least four times as much memory as the threads gets them nevertheless, and keeps fewer pixels in memory;
+    /// others get one.
     fn of(pixels: u64, thread: u64, free: u64, threads: usize) -> Share {
         let extra = thread * (threads as u64 - 1);
         if pixels.saturating_add(extra) <= free {
@@ -199,7 +201,7 @@ enum State {
     Ended(Ending),
 }
 
-/// Open, running and ended jobs, and free resources.
+/// The states of all jobs, and the free resources.
 struct Board<'a> {
     jobs: &'a [Job],
     places: BTreeMap<&'a str, usize>,
@@ -212,9 +214,9 @@ struct Board<'a> {
 
 struct Open {
     states: Vec<State>,
-    /// Bytes for pixels that no job uses.
+    /// Bytes for pixels that no running job uses.
     free: u64,
-    /// Number of jobs that compute.
+    /// Number of jobs that are being computed.
     going: usize,
 }
 
@@ -234,12 +236,12 @@ impl<'a> Board<'a> {
     }
 
     fn lock(&self) -> MutexGuard<'_, Open> {
-        // Code that holds the lock does not panic in an inconsistent state.
+        // Poisoning is ignored: code that holds the lock cannot panic and leave the data inconsistent.
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Returns the next job with its resources, or `None` if no job is left to start. `idle` is called before
-    /// waiting.
+    /// Returns the index of the next job with its resources, or `None` if no job is left to start. Waits for other jobs
+    /// if necessary, and calls `idle` before.
     fn take(&self, mut idle: impl FnMut()) -> Option<(usize, Share)> {
         let mut open = self.lock();
         loop {
@@ -257,7 +259,7 @@ impl<'a> Board<'a> {
             }
             let ready: Vec<usize> = (0..self.jobs.len()).filter(|&i| self.is_ready(&open, i)).collect();
             if let Some((i, pixels)) = self.longest(&open, &ready) {
-                // If memory is enough for only one job at a time, it may have all cores.
+                // If memory is enough for only one job at a time, that job may have all cores.
                 let fitting = usize::try_from(capacity(self.limits) / pixels.max(1)).unwrap_or(usize::MAX);
                 let at_once = (ready.len() + open.going).min(self.limits.jobs).min(fitting).max(1);
                 let job = &self.jobs[i];
@@ -278,8 +280,8 @@ impl<'a> Board<'a> {
         }
     }
 
-    /// Returns the longest of the `ready` jobs for which there is memory, with its bytes, so that a long job does
-    /// not run alone at the end. Of equal jobs it is the first.
+    /// Returns the index of the longest of the `ready` jobs for whose pixels there is memory, and the bytes for these
+    /// pixels; of equally long jobs the first. A long job that starts last would run alone at the end.
     fn longest(&self, open: &Open, ready: &[usize]) -> Option<(usize, u64)> {
         let sized = ready.iter().map(|&i| (i, pixels(&self.jobs[i]).min(capacity(self.limits))));
         let fitting = sized.filter(|(_, pixels)| *pixels <= open.free);
@@ -294,7 +296,7 @@ impl<'a> Board<'a> {
         matches!(open.states[i], State::Open) && self.jobs[i].needs.iter().all(is_done)
     }
 
-    /// Returns open jobs that need one that failed, was not started, or does not exist.
+    /// Returns the open jobs that need a job that failed, was not started, or does not exist, with their outcomes.
     fn with_failed_need(&self, open: &Open) -> Vec<(usize, Ending)> {
         let ending = |id: &String| match self.places.get(id.as_str()).map(|&i| &open.states[i]) {
             None => Some(Ending::Failed(format!("it needs the job {id}, which is not in the plan"))),
@@ -310,7 +312,7 @@ impl<'a> Board<'a> {
         open_jobs.filter_map(failed).collect()
     }
 
-    /// Marks the disk of job `i` as full: jobs that write there are not started.
+    /// Marks open jobs that write to the same disk as job `i` as not started, because that disk is full.
     fn fill(&self, i: usize) {
         let full = disk(&self.jobs[i]);
         let mut left = 0;
@@ -328,7 +330,7 @@ impl<'a> Board<'a> {
         self.changed.notify_all();
     }
 
-    /// Returns the resources of a job that has finished computing.
+    /// Makes the resources of a job available again after it was computed.
     fn give_back(&self, share: &Share) {
         let mut open = self.lock();
         open.free += share.taken;
@@ -342,7 +344,7 @@ impl<'a> Board<'a> {
         self.changed.notify_all();
     }
 
-    /// Reports an outcome. It writes and prints, so the board must not be locked.
+    /// Reports the outcome of job `i`. This writes a file and prints, so the board must not be locked.
     fn tell(&self, i: usize, ending: &Ending) {
         if let Ending::Failed(error) = ending {
             job::remember_failure(&self.jobs[i], error);
@@ -360,12 +362,12 @@ impl<'a> Board<'a> {
     }
 }
 
-/// Bytes for the pixels of all jobs together.
+/// Returns the bytes for the pixels of all jobs together.
 fn capacity(limits: &Limits) -> u64 {
     limits.memory.as_ref().map_or(u64::MAX, MemoryLimit::for_pixels)
 }
 
-/// Bytes for the pixels of `job`, if it may have them.
+/// Returns the bytes that the pixels of `job` need if they all stay in memory.
 fn pixels(job: &Job) -> u64 {
     (job.memory_mb * 1_000_000).saturating_sub(MemoryLimit::PROGRAM)
 }

@@ -1,7 +1,7 @@
 //! The summary of a batch: a row for each job, as JSON and as CSV.
 //!
-//! In: jobs and their outcomes; or jobs only, whose files are then read. Out: a [`Summary`]. Cost: negligible; or
-//! reading the jobs' reports.
+//! In: jobs and their outcomes; or only jobs, whose outcomes are then read from their files. Out: a [`Summary`]. Cost:
+//! negligible, except for reading the jobs' reports.
 
 use super::job::{Brief, Failure};
 use super::plan::{Job, Kind};
@@ -21,7 +21,7 @@ pub const SCHEMA: &str = "hdralign-batch/1";
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Status {
-    /// Done in this run; or done, if the summary is made from files.
+    /// Done in this run; in any run if the summary is made from files.
     Done,
     /// Done in a previous run, with the same inputs, options and version.
     Unchanged,
@@ -52,17 +52,17 @@ pub struct Row {
     pub kind: Kind,
     /// The status of the job.
     pub status: Status,
-    /// The number of its panorama.
+    /// The number of the panorama that contains the bracket, from 1.
     pub set: Option<usize>,
     /// The photographs.
     pub photographs: Vec<String>,
-    /// The results, if it is done.
+    /// The results, if the job is done.
     pub outputs: Vec<String>,
-    /// The report, if it is done.
+    /// The report, if the job is done.
     pub report: Option<String>,
-    /// The reason, if it failed.
+    /// The error message, if the job failed.
     pub error: Option<String>,
-    /// Extracts from its report.
+    /// Extracts from the report of the job.
     #[serde(flatten)]
     pub brief: Brief,
 }
@@ -72,25 +72,25 @@ pub struct Row {
 pub struct Unused {
     /// The file.
     pub path: String,
-    /// The reason.
+    /// Why it is in no bracket.
     pub reason: String,
 }
 
 /// Numbers of jobs by status.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct Counts {
-    /// All jobs.
+    /// Number of all jobs (`steps` in the JSON).
     #[serde(rename = "steps")]
     pub jobs: usize,
-    /// [`Status::Done`].
+    /// Number of jobs that are [`Status::Done`].
     pub done: usize,
-    /// [`Status::Unchanged`].
+    /// Number of jobs that are [`Status::Unchanged`].
     pub unchanged: usize,
-    /// [`Status::Failed`].
+    /// Number of jobs that are [`Status::Failed`].
     pub failed: usize,
-    /// [`Status::NotDone`].
+    /// Number of jobs that are [`Status::NotDone`].
     pub not_done: usize,
-    /// Done, with a degraded result.
+    /// Number of done or unchanged jobs with a degraded result ([`Brief::degraded`]).
     pub degraded: usize,
 }
 
@@ -119,12 +119,12 @@ pub enum Outcome {
     All,
     /// No job is done.
     None,
-    /// Some are.
+    /// Some jobs are done, but not all.
     Some,
 }
 
 impl Outcome {
-    /// Returns the outcome for `done` jobs of `all`; `None` if there are no jobs.
+    /// Returns the outcome if `done` of `all` jobs are done; [`Outcome::None`] if there are no jobs.
     pub fn of(done: usize, all: usize) -> Outcome {
         match done {
             0 => Outcome::None,
@@ -149,8 +149,8 @@ impl Summary {
         Summary::of(rows.collect(), Some(left_over), Some(time_s))
     }
 
-    /// Creates the summary of `jobs` that were run elsewhere, from their files: a job is done if its report has the
-    /// same options and version and its results are complete; otherwise its failure file is used.
+    /// Creates the summary of `jobs` that were run elsewhere, from their files. A job has failed if its failure file
+    /// exists; it is done if its report is of the same options and version and its results are complete.
     pub fn collected(jobs: &[Job]) -> Summary {
         let rows = jobs.iter().map(|job| {
             let results: Vec<PathBuf> = job.outputs.iter().chain(&job.page).cloned().collect();
@@ -158,8 +158,8 @@ impl Summary {
                 record.options == job.options && record.software == job.software && record.is_whole(&results)
             });
             match (record.and_then(|_| Brief::read(&job.report)), Failure::read(job)) {
-                // A completed job removes its failure file: if both exist, the report is of an earlier form of the
-                // job.
+                // A completed job removes its failure file. So if both files exist, the report is of an earlier run,
+                // and the job failed later.
                 (_, Some(failure)) => row(job, Status::Failed, Brief::default(), Some(failure.error)),
                 (Some(brief), None) => row(job, Status::Done, brief, None),
                 (None, None) => row(job, Status::NotDone, Brief::default(), None),
@@ -181,14 +181,14 @@ impl Summary {
         Summary { schema: SCHEMA, software: super::SOFTWARE, counts, jobs, left_over, time_s }
     }
 
-    /// Returns the outcome.
+    /// Returns the outcome of the batch.
     pub fn outcome(&self) -> Outcome {
         Outcome::of(self.counts.done + self.counts.unchanged, self.counts.jobs)
     }
 
     /// Returns the summary as JSON, with a final line feed.
     pub fn to_json(&self) -> String {
-        // Only strings, numbers and lists of them: conversion cannot fail.
+        // The summary contains only strings, numbers and lists of them, so the conversion cannot fail.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }
 
@@ -218,10 +218,11 @@ impl Summary {
         writer.into_inner().map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).unwrap_or_default()
     }
 
-    /// Writes the summary to `path`, and beside it as `.csv`. Existing files are replaced as described for [`check`].
+    /// Writes the summary as JSON to `path`, and as CSV to the same path with the extension `csv`. Existing files are
+    /// replaced as described for [`check`].
     ///
     /// # Errors
-    /// [`Error::Write`], also for existing files that are not replaced.
+    /// [`Error::Write`], also if a file exists that may not be replaced.
     pub fn write(&self, path: &Path, overwrite: bool) -> Result<[PathBuf; 2]> {
         let [json, table] = files(path);
         let whole = vec![
@@ -233,8 +234,9 @@ impl Summary {
     }
 }
 
-/// Checks, before any work, that a summary can be written to `path`. An existing file is replaced if it is the
-/// summary of another run, or with `overwrite`; so is the table beside it, whose owner only the summary records.
+/// Checks, before any work, that a summary can be written to `path`. An existing file may be replaced if it is the
+/// summary of another run, or with `overwrite`. The same holds for the CSV file beside it, which does not itself show
+/// that it is a summary.
 ///
 /// # Errors
 /// [`Error::Write`].
@@ -242,23 +244,23 @@ pub fn check(path: &Path, overwrite: bool) -> Result<()> {
     write::check_targets(&Target::of("-d", &files(path)), &[], overwrite || is_summary(path)).map_err(kept)
 }
 
-/// Returns the paths of the summary and its table.
+/// Returns the paths of the summary as JSON and as CSV.
 fn files(path: &Path) -> [PathBuf; 2] {
     [path.to_owned(), path.with_extension("csv")]
 }
 
-/// Whether the file `path` is a summary: it contains [`SCHEMA`].
+/// Returns whether the file `path` is a summary: its schema is [`SCHEMA`].
 fn is_summary(path: &Path) -> bool {
     #[derive(Deserialize)]
     struct Header {
         schema: String,
     }
-    // It is about as long as its plan.
+    // A summary is about as long as the plan of its jobs.
     let header = intake::whole(path, intake::MOST_OF_A_PLAN).ok().and_then(|text| serde_json::from_slice(&text).ok());
     header.is_some_and(|Header { schema }| schema == SCHEMA)
 }
 
-/// Returns the error for an existing target, with the remedy: a summary has no other name.
+/// Replaces [`Error::OutputExists`] by an error with another remedy, because a summary cannot have another name.
 fn kept(error: Error) -> Error {
     let Error::OutputExists { path } = error else { return error };
     let reason = "it exists already, and `hdralign batch` did not write it; move it away, name another folder with -d, or \

@@ -1,11 +1,11 @@
 //! Linear RGB colour spaces and conversions between them.
 //!
-//! In: chromaticities. Out: matrices to CIE XYZ and between sets of primaries. Cost: negligible.
-//! Source: SMPTE RP 177-1993 (matrix from primaries); Lam 1985 (Bradford's adaptation, as in ICC.1:2022, annex E); the standards named
-//! at each set; ids: ASWF Color Interop Forum, "Color Space Encodings" (2024).
+//! In: chromaticities. Out: matrices to CIE XYZ and between sets of primaries. Cost: negligible. Source: SMPTE RP
+//! 177-1993 (matrix from primaries); Lam 1985 (Bradford's adaptation, as in ICC.1:2022, annex E); the standards named
+//! at each set of primaries; interop ids: ASWF Color Interop Forum, "Color Space Encodings" (2024).
 //!
-//! Chromaticities are rounded to `f32` before use, because no file format stores them more precisely: values read back from a file then
-//! give bit-identical results.
+//! Chromaticities are rounded to `f32` before use, because no file format stores them more precisely: values read back
+//! from a file then give bit-identical results.
 
 mod profile;
 mod transfer;
@@ -32,12 +32,12 @@ pub struct Primaries {
     pub white: [f64; 2],
 }
 
-/// White of D65 and D50, as the standards round them.
+/// Chromaticities (xy) of the D65 and D50 whites, rounded as in the standards.
 const D65: [f64; 2] = [0.3127, 0.3290];
 const D50: [f64; 2] = [0.3457, 0.3585];
-/// The white of equal energy, XYZ (1, 1, 1).
+/// Chromaticity of the equal-energy white, XYZ (1, 1, 1).
 const EQUAL_ENERGY: [f64; 2] = [1.0 / 3.0, 1.0 / 3.0];
-/// Bradford's cone responses (ICC.1, annex E).
+/// Bradford's matrix from XYZ to cone responses (ICC.1, annex E).
 const BRADFORD: Matrix3<f64> = Matrix3::new(0.8951, 0.2664, -0.1614, -0.7502, 1.7135, 0.0367, 0.0389, -0.0685, 1.0296);
 
 impl Primaries {
@@ -68,7 +68,8 @@ impl Primaries {
         self.all().iter().all(|v| *v >= 0.0)
     }
 
-    /// Whether no coordinate differs by more than `tolerance`; 0.005 covers the rounding of profiles and is not visible.
+    /// Whether no coordinate differs by more than `tolerance`; a tolerance of 0.005 covers the rounding of profiles and
+    /// is not visible.
     pub fn is_close(&self, other: &Primaries, tolerance: f64) -> bool {
         self.all().iter().zip(other.all()).all(|(a, b)| (a - b).abs() <= tolerance)
     }
@@ -83,7 +84,8 @@ impl Primaries {
         Space::of(self).map(Space::primaries)
     }
 
-    /// RP 177: the columns are the primaries' XYZ, scaled so that RGB (1, 1, 1) is white, of luminance 1. `None` where they span no space.
+    /// Returns the matrix from linear RGB to XYZ, which maps RGB (1, 1, 1) to the white with luminance 1 (RP 177).
+    /// `None` where the primaries span no colour space, for example because they lie on a line.
     pub fn to_xyz(&self) -> Option<Matrix3<f64>> {
         let rounded = |xy: [f64; 2]| xyz(xy.map(|v| f64::from(v as f32)));
         let columns = Matrix3::from_columns(&[self.red, self.green, self.blue].map(rounded));
@@ -92,11 +94,12 @@ impl Primaries {
         matrix.iter().all(|v| v.is_finite()).then_some(matrix)
     }
 
-    /// What red, green and blue contribute to luminance: the second row of [`to_xyz`](Self::to_xyz), BT.709's where there is none.
+    /// Returns the contributions of red, green and blue to luminance: the second row of [`to_xyz`](Self::to_xyz), or
+    /// BT.709's weights where that is `None`.
     pub fn luminance(&self) -> [f64; 3] {
         match (self.is_close(&Self::SRGB, 1e-6), self.to_xyz()) {
             (false, Some(m)) => [m[(1, 0)], m[(1, 1)], m[(1, 2)]],
-            // As the standard rounds them, and Radiance.
+            // BT.709's weights, rounded as in the standard and in Radiance.
             _ => [0.2126, 0.7152, 0.0722],
         }
     }
@@ -119,22 +122,22 @@ pub fn linear_to_srgb(linear: f64) -> f64 {
 #[serde(rename_all = "kebab-case")]
 #[strum(serialize_all = "kebab-case")]
 pub enum Space {
-    /// Primaries of ITU-R BT.709, D65.
+    /// ITU-R BT.709 primaries, D65: most programs.
     Srgb,
-    /// Display P3, D65.
+    /// Display P3, D65: phones and newer computers.
     DisplayP3,
-    /// Adobe RGB (1998), D65.
+    /// Adobe RGB (1998), D65: print.
     AdobeRgb,
-    /// ITU-R BT.2020, D65.
+    /// ITU-R BT.2020, D65: HDR video.
     Rec2020,
-    /// ProPhoto RGB, D50.
+    /// ProPhoto RGB, D50: photo editing.
     Prophoto,
-    /// ACEScg: AP1 with the ACES white.
+    /// ACEScg (AP1 primaries, ACES white): visual effects.
     Acescg,
 }
 
 impl Space {
-    /// Its primaries and white.
+    /// Returns the primaries and the white of the space.
     pub fn primaries(self) -> Primaries {
         match self {
             Space::Srgb => Primaries::SRGB,
@@ -170,14 +173,15 @@ impl Space {
 pub struct Conversion([[f32; 3]; 3]);
 
 impl Conversion {
-    /// Converts linear RGB of `from` to that of `to`. White is mapped to white, by Bradford's transform where they differ. `None` where
-    /// one of the two spans no space.
+    /// Returns the conversion from linear RGB of `from` to linear RGB of `to`. White is mapped to white, by Bradford's
+    /// transform where the two whites differ. `None` where the primaries of one of the two span no colour space.
     pub fn between(from: &Primaries, to: &Primaries) -> Option<Self> {
         let matrix = to.to_xyz()?.try_inverse()? * adaptation(from.white, to.white)? * from.to_xyz()?;
         Self::of(matrix)
     }
 
-    /// Same as [`between`](Self::between), followed by an adaptation of `light`, an xy chromaticity, to the white of `to`.
+    /// Same as [`between`](Self::between), followed by Bradford's transform from the white `light`, an xy chromaticity,
+    /// to the white of `to`.
     pub fn balanced(from: &Primaries, to: &Primaries, light: [f64; 2]) -> Option<Self> {
         let adapted = adaptation(light, to.white)? * adaptation(from.white, to.white)?;
         Self::of(to.to_xyz()?.try_inverse()? * adapted * from.to_xyz()?)
@@ -188,7 +192,7 @@ impl Conversion {
         rows.as_flattened().iter().all(|v| v.is_finite()).then_some(Conversion(rows))
     }
 
-    /// The colour `c` in the other space.
+    /// Converts the linear RGB colour `c`.
     #[inline(always)]
     pub fn apply(&self, c: [f32; 3]) -> [f32; 3] {
         // Written out because a closure over the rows is not inlined in vectorised loops.
@@ -201,21 +205,23 @@ impl Conversion {
     }
 }
 
-/// Between linear RGB and the XYZ of formats that hold no primaries: grey has X = Y = Z, as their readers expect it (Radiance's
-/// `ra_xyze`, libtiff's LogLuv). Chromaticities are adapted to that white by Bradford's transform; Y is the luminance under the white
-/// that was, to the letter, which a matrix alone would change by some percent for saturated colours.
+/// Conversion between linear RGB and the XYZ of formats that store no primaries. Readers of these formats expect that
+/// grey has X = Y = Z (Radiance's `ra_xyze`, libtiff's LogLuv), so chromaticities are adapted to the equal-energy white
+/// by Bradford's transform. Y is exactly the luminance before this adaptation; the matrix alone would change it by some
+/// percent for saturated colours.
 #[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct NeutralXyz {
     to_xyz: Conversion,
     to_rgb: Conversion,
     weights: [f32; 3],
-    /// The least and the greatest factor from the luminance under the one white to that under the other, of colours within the primaries.
+    /// Least and greatest ratio of the luminance after the adaptation to the equal-energy white to the luminance before
+    /// it, of all colours within the primaries.
     keeps: [f32; 2],
 }
 
 impl NeutralXyz {
-    /// For RGB of `primaries`, or of sRGB's where these span no space.
+    /// Creates the conversion for RGB of `primaries`, or of sRGB where `primaries` span no colour space.
     pub fn of(primaries: &Primaries) -> Self {
         let settled = |primaries: &Primaries| {
             let matrix = primaries.to_xyz()?;
@@ -226,7 +232,8 @@ impl NeutralXyz {
         let none = Conversion([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
         let settled = settled(primaries).or_else(|| settled(&Primaries::SRGB));
         let (to_xyz, to_rgb, weights) = settled.unwrap_or((none, none, [0.0, 1.0, 0.0]));
-        // Of any colour within it is between those of the primaries.
+        // The ratio of any colour within the primaries is between the smallest and the largest ratio of the three
+        // primaries.
         let keeps = [0, 1, 2].map(|c| to_xyz.0[1][c] / weights[c]);
         let keeps = [keeps.into_iter().fold(f32::INFINITY, f32::min), keeps.into_iter().fold(0.0, f32::max)];
         NeutralXyz { to_xyz, to_rgb, weights, keeps }
@@ -236,7 +243,7 @@ impl NeutralXyz {
         self.weights[0] * rgb[0] + self.weights[1] * rgb[1] + self.weights[2] * rgb[2]
     }
 
-    /// XYZ of `rgb`, no component below 0.
+    /// Converts `rgb` to XYZ; components below 0 become 0.
     #[inline]
     pub fn of_rgb(&self, rgb: [f32; 3]) -> [f32; 3] {
         let (xyz, y) = (self.to_xyz.apply(rgb), self.luminance(rgb));
@@ -244,10 +251,11 @@ impl NeutralXyz {
         if keep.is_finite() && keep > 0.0 { [xyz[0] * keep, y, xyz[2] * keep].map(|v| v.max(0.0)) } else { [0.0; 3] }
     }
 
-    /// RGB of `xyz`, of the luminance Y; components may be below 0.
+    /// Converts `xyz` to RGB of the luminance Y; components may be below 0.
     ///
-    /// Far outside of what is seen the luminances under the two whites have nothing to do with each other, and their ratio has no bound. The
-    /// factor is kept to those of the primaries, and the rest of the luminance added as grey: what is finite and small stays so.
+    /// Far outside of the visible chromaticities, the ratio of the luminances under the two whites has no bound. So it
+    /// is clamped to the range of the colours within the primaries, and the rest of the luminance is added as grey:
+    /// small finite XYZ give small finite RGB.
     #[inline]
     pub fn to_rgb(&self, xyz: [f32; 3]) -> [f32; 3] {
         let rgb = self.to_rgb.apply(xyz);
@@ -262,12 +270,13 @@ impl NeutralXyz {
     }
 }
 
-/// XYZ of luminance 1.
+/// Returns the XYZ of a chromaticity at luminance 1.
 fn xyz([x, y]: [f64; 2]) -> Vector3<f64> {
     Vector3::new(x / y, 1.0, (1.0 - x - y) / y)
 }
 
-/// Bradford's transform of XYZ from one white to another: cone responses scaled by the ratio of the whites.
+/// Returns Bradford's transform of XYZ from one white to another: cone responses are multiplied by the ratio of the
+/// cone responses of the two whites.
 fn adaptation(from: [f64; 2], to: [f64; 2]) -> Option<Matrix3<f64>> {
     let cones = |white: [f64; 2]| BRADFORD * xyz(white.map(|v| f64::from(v as f32)));
     let ratio = cones(to).component_div(&cones(from));
@@ -278,7 +287,7 @@ fn adaptation(from: [f64; 2], to: [f64; 2]) -> Option<Matrix3<f64>> {
 mod tests {
     use super::*;
 
-    /// The matrices that the standards print, to their four places.
+    /// The matrices printed in the standards, to four decimal places.
     #[test]
     fn matrices_to_xyz_are_those_printed() {
         let srgb = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]];
@@ -294,7 +303,8 @@ mod tests {
         }
     }
 
-    /// Published: sRGB to ACEScg by Bradford's transform (colour-science, `RGB_to_RGB`), and Adobe RGB's green in sRGB.
+    /// Published values: sRGB to ACEScg by Bradford's transform (colour-science, `RGB_to_RGB`), and the green of Adobe
+    /// RGB in sRGB.
     #[test]
     fn conversions_match_published_matrices_and_keep_white() {
         let to = |from: Space, to: Space, c| Conversion::between(&from.primaries(), &to.primaries()).unwrap().apply(c);
@@ -324,7 +334,7 @@ mod tests {
                 let y: f64 = (0..3).map(|c| weights[c] * f64::from(rgb[c])).sum();
                 assert!((f64::from(xyz[1]) - y).abs() < 1e-6);
                 let back = neutral.to_rgb(xyz);
-                // Of colours at the edge of the space Z under the other white may be below 0, and is cut there.
+                // At the edge of the space, Z after the adaptation may be below 0, and then becomes 0.
                 let near = if rgb.contains(&0.0) { 0.01 } else { 1e-5 };
                 assert!(back.iter().zip(rgb).all(|(a, b)| (a - b).abs() < near), "{space:?} {rgb:?} {back:?}");
             }
@@ -332,7 +342,8 @@ mod tests {
         }
     }
 
-    /// The first would be (18616, -6821, 2): its luminance is 0.8 under the one white, and about 0 under the other.
+    /// With an unbounded ratio, the first colour would become RGB (18616, -6821, 2): its luminance is 0.8 under one
+    /// white and about 0 under the other.
     #[test]
     fn impossible_colours_keep_their_luminance_in_xyz() {
         let (neutral, weights) = (NeutralXyz::of(&Primaries::BT2020), Primaries::BT2020.luminance());
@@ -346,7 +357,7 @@ mod tests {
         }
     }
 
-    /// A file keeps chromaticities as floats: what comes back must give the same conversion to the bit.
+    /// Files store chromaticities as `f32`: primaries that are read back must give a bit-identical conversion.
     #[test]
     fn rounding_in_a_transforms_file_does_not_matter() {
         let float = |xy: [f64; 2]| xy.map(|v| f64::from(v as f32));

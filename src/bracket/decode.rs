@@ -1,8 +1,8 @@
 //! Decodes image files to pixel values with the orientation applied, and reads their metadata.
 //!
-//! In: a JPEG, PNG or TIFF, recognised by its content and not by its name. Out: interleaved RGB at the depth of the file, 8 or 16 bits;
-//! grey is repeated, alpha dropped, CMYK converted to RGB without its profile. Cost: that of the decoders, one more copy for 16-bit
-//! samples, and one more where the orientation is not 1.
+//! In: a JPEG, PNG or TIFF, recognised by its content and not by its name. Out: interleaved RGB at the depth of the
+//! file, 8 or 16 bits; grey is repeated, alpha dropped, CMYK converted to RGB without its profile. Cost: that of the
+//! decoders, one more copy for 16-bit samples, and one more where the orientation is not 1.
 //!
 //! Damage is an error; missing image data is never replaced by a filler.
 
@@ -34,7 +34,7 @@ pub(super) struct Decoded {
     pub decoding: u64,
     /// Its EXIF, if any.
     pub exif: Option<Exif>,
-    /// An RGB or unknown ICC profile, as found.
+    /// The ICC profile of the file or of its colour chunks, not yet parsed.
     pub icc: Option<Vec<u8>>,
     /// Whether the file has an alpha channel, which is dropped.
     pub has_alpha: bool,
@@ -51,7 +51,7 @@ struct Stored {
     decoding: u64,
     /// EXIF block from its TIFF header on; for a TIFF, the whole file.
     exif: Option<Vec<u8>>,
-    /// Index of the directory of that block that describes the image: 0 unless the first is a thumbnail.
+    /// Index of the directory of `exif` that describes the image: 0 unless the first directory describes a thumbnail.
     directory: u16,
     icc: Option<Vec<u8>>,
     /// Whether the file has an alpha channel, which is dropped.
@@ -74,7 +74,8 @@ pub(super) fn check_format(path: &Path, begin: &[u8]) -> Result<()> {
 /// Decodes `bytes`, the content of the file `path`, within `limits`.
 ///
 /// # Errors
-/// [`Error::UnknownFormat`] with what the content looks like; [`Error::Decode`] for damage, unsupported kinds and excessive sizes.
+/// [`Error::UnknownFormat`] with what the content looks like; [`Error::Decode`] for damage, unsupported kinds and
+/// excessive sizes.
 pub(super) fn decode(path: &Path, bytes: Vec<u8>, limits: &Limits) -> Result<Decoded> {
     let format = sniff::format(&bytes).map_err(|found| Error::UnknownFormat { path: path.into(), found })?;
     // A decoder that panics on a damaged file must fail that file only.
@@ -98,7 +99,7 @@ pub(super) fn decode(path: &Path, bytes: Vec<u8>, limits: &Limits) -> Result<Dec
     });
     let turn = orientation(exif.as_ref());
     let (samples, width, height) = orient::apply(stored.samples, stored.width, stored.height, turn);
-    // Rotation needs a second copy.
+    // Applying the orientation needs a second copy of the samples.
     let turning = if turn == 1 { 0 } else { 2 * samples.bytes() };
     Ok(Decoded {
         width,
@@ -126,7 +127,7 @@ pub(super) struct Head {
     pub depth: u8,
     /// Its EXIF, if any.
     pub exif: Option<Exif>,
-    /// The writing program as named outside of EXIF.
+    /// The program that wrote the file, where it is named outside of EXIF.
     pub software: Option<String>,
     /// Why [`decode`] would reject this kind of image, if it would.
     pub refused: Option<Error>,
@@ -142,11 +143,11 @@ struct Found {
     refused: Option<Reason>,
 }
 
-/// Bytes read at a time: a fraction of most EXIF blocks, and much more than a chunk header.
+/// Number of bytes read at a time: a fraction of most EXIF blocks, and much more than a chunk header.
 const AT_ONCE: usize = 8192;
 
-/// Reads the header of `file`, the content of the file `path`, without decoding pixels; from the EXIF of a TIFF, only the `wanted` tags.
-/// Damage of the pixel data is not detected.
+/// Reads the header of `file`, the content of the file `path`, without decoding pixels; from the EXIF of a TIFF, only
+/// the `wanted` tags. Damage of the pixel data is not detected.
 ///
 /// # Errors
 /// [`Error::Read`]; [`Error::UnknownFormat`]; [`Error::Decode`] where the size is unknown, zero or beyond `limits`.
@@ -175,7 +176,7 @@ pub(super) fn head(path: &Path, file: impl Read + Seek, wanted: &[Tag], limits: 
     Ok(Head { width, height, depth: found.depth, exif, software: found.software, refused })
 }
 
-/// Interleaved RGB from interleaved pixels of `channels`: grey, grey + alpha, RGB or RGB + alpha.
+/// Converts interleaved pixels of 1 to 4 `channels` (grey, grey + alpha, RGB, RGB + alpha) to interleaved RGB.
 fn to_rgb<T: Copy>(values: Vec<T>, channels: usize) -> Vec<T> {
     match channels {
         1 | 2 => values.chunks_exact(channels).flat_map(|p| [p[0]; 3]).collect(),

@@ -1,6 +1,7 @@
 //! Frames from images in memory.
 //!
-//! In: an image of the `image` crate and its exposure. Out: a [`Frame`]. Cost: none for 8- and 16-bit RGB, else one conversion.
+//! In: an image of the `image` crate and its exposure. Out: a [`Frame`]. Cost: none for 8- and 16-bit RGB, else one
+//! conversion.
 
 use super::exposure::Exposure;
 use super::{Frame, Samples};
@@ -9,13 +10,14 @@ use image::{ColorType, DynamicImage};
 use std::path::PathBuf;
 
 impl Frame {
-    /// A frame from an image in memory. 16-bit images keep their 16 bits. Alpha is dropped, grey becomes three equal channels.
+    /// Creates a frame from an image in memory. 16-bit images keep their 16 bits. Alpha is dropped, grey becomes three
+    /// equal channels.
     ///
-    /// The pixel values are camera-encoded, as a decoder of JPEG, PNG or TIFF gives them. `name` identifies the frame in results and errors; no such
-    /// file is needed.
+    /// The pixel values are camera-encoded, as a decoder of JPEG, PNG or TIFF gives them. `name` identifies the frame
+    /// in results and errors; a file of this name is not needed.
     ///
     /// # Errors
-    /// [`Error::Decode`] where the image has no pixels, or holds floats: those are no pixel values of a camera.
+    /// [`Error::Decode`] where the image has no pixels, or contains floats, which are not pixel values of a camera.
     pub fn from_image(name: impl Into<PathBuf>, image: DynamicImage, exposure: Exposure) -> Result<Self> {
         let name = name.into();
         let (width, height) = (image.width() as usize, image.height() as usize);

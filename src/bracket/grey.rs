@@ -1,7 +1,7 @@
 //! Grey values for the alignment, row by row.
 //!
-//! In: a row of interleaved RGB pixel values. Out: (54 R + 183 G + 19 B) / 256 (Ward 2003, section 2), at 8 bits for either depth. Cost:
-//! that of reading the pixel values.
+//! In: a row of interleaved RGB pixel values. Out: (54 R + 183 G + 19 B) / 256 (Ward 2003, section 2), at 8 bits for
+//! either depth. Cost: that of reading the pixel values.
 
 use super::{Codes, Window};
 use crate::simd::{Loops, vectorised};
@@ -92,10 +92,10 @@ mod tests {
     #[test]
     fn brightened_grey_keeps_fractions_of_codes() {
         let of = |samples| Frame::new("a".into(), 1, 1, samples, Exposure::given(0.0).unwrap());
-        // (54 + 2 * 183) / 256 = 1.64, of which 1 is left; times 64 it is 105.
+        // Without brightening, (54 * 1 + 183 * 2) / 256 = 1.64 is rounded down to 1. With 6 stops, 64 * 1.64 = 105.
         let dark = of(Samples::Eight(vec![1, 2, 0]));
         assert_eq!([0, 6, 8].map(|stops| dark.grey_brightened(stops).unwrap().at(0, 0)), [1, 105, 255]);
-        // 0.64 of a code at 8 bit.
+        // 164 is 0.64 of an 8-bit pixel value; with 6 stops, 64 * 0.64 = 41.
         let deep = of(Samples::Sixteen(vec![164, 164, 164]));
         assert_eq!([0, 6].map(|stops| deep.grey_brightened(stops).unwrap().at(0, 0)), [0, 41]);
         let plain = of(Samples::Eight(vec![10, 200, 30]));
@@ -104,7 +104,7 @@ mod tests {
 
     #[test]
     fn rows_of_grey_are_the_definition_pixel_by_pixel() {
-        // Longer than any vector, and no multiple of one.
+        // Each row is longer than any SIMD vector, and its length is not a multiple of one.
         let (width, height) = (203, 3);
         let codes: Vec<u16> = (0..3 * width * height).map(|i| (i * 40_503 % 65_536) as u16).collect();
         let eight = Samples::Eight(codes.iter().map(|c| (c >> 8) as u8).collect());

@@ -1,8 +1,8 @@
 //! Reads the header of a photograph without decoding its pixels.
 //!
-//! In: a path. Out: a [`Header`]: the size as decoded, camera, time, exposure, and bracketing data. Cost: some 10 to 60 kB read, with seeks,
-//! and 0.1 ms. Source: EXIF 2.32, sections 4.6.4 and 4.6.5; for Canon's maker note, which holds the position in an automatic bracket and
-//! the serial number, P. Harvey's ExifTool, "Canon Tags".
+//! In: a path. Out: a [`Header`]: the size as decoded, camera, time, exposure, and bracketing data. Cost: some 10 to 60
+//! kB read, with seeks, and 0.1 ms. Source: EXIF 2.32, sections 4.6.4 and 4.6.5; for Canon's maker note, which holds
+//! the position in an automatic bracket and the serial number, P. Harvey's ExifTool, "Canon Tags".
 
 use super::Capture;
 use super::decode;
@@ -97,8 +97,8 @@ impl Header {
     ///
     /// # Errors
     /// [`Error::Read`](crate::error::Error::Read); [`Error::UnknownFormat`](crate::error::Error::UnknownFormat) and
-    /// [`Error::Decode`](crate::error::Error::Decode) where the decoder would reject the kind or size of the image as well. Results of hdralign
-    /// are not rejected.
+    /// [`Error::Decode`](crate::error::Error::Decode) where the decoder would reject the kind or size of the image as
+    /// well. Results of hdralign are not rejected.
     pub fn read(path: &Path, limits: &Limits) -> Result<Self> {
         Header::of(path, intake::open_regular(path)?, limits)
     }
@@ -181,7 +181,7 @@ impl Canon {
         let begin = *at as usize;
         let count = usize::from(short(begin)?).min(note.len() / 12);
         let entry = |tag: u16| (0..count).map(|i| begin + 2 + 12 * i).find(|&at| short(at) == Some(tag));
-        // ShotInfo is an array of shorts; index 17 is AEBBracketValue.
+        // ShotInfo (tag 4) is an array of 16-bit integers; index 17 is AEBBracketValue.
         let bracket_stops = || {
             let entry = entry(4)?;
             let is_there = short(entry + 2)? == 3 && long(entry + 4)? > 17;
@@ -196,7 +196,7 @@ impl Canon {
     }
 }
 
-/// Converts Canon's exposure unit to stops: 32 per stop, with 12 and 20 for the thirds.
+/// Converts Canon's exposure unit to stops: 32 per stop, with 12 and 20 for one and two thirds of a stop.
 fn canon_stops(value: i16) -> f64 {
     let (whole, part) = (value.unsigned_abs() & !31, value.unsigned_abs() & 31);
     let part = match part {
@@ -211,7 +211,7 @@ fn canon_stops(value: i16) -> f64 {
 mod tests {
     use super::*;
 
-    /// The EXIF of a Canon whose note holds ShotInfo and the serial number, the former `at` that offset of the block.
+    /// Returns the EXIF of a Canon whose maker note has a serial number, and ShotInfo at the offset `at` of the block.
     fn canon(at: u32, bracket: i16) -> Exif {
         let mut note = 2_u16.to_be_bytes().to_vec();
         let entry = |tag: u16, kind: u16, count: u32, value: u32| {

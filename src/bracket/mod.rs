@@ -98,11 +98,12 @@ pub struct Capture {
     pub lens: Option<String>,
     /// EXIF FocalLength, in millimetres.
     pub focal_length_mm: Option<f64>,
-    /// The EXIF fields that are valid for the results too, as a TIFF block; with the GPS position only on request.
+    /// The EXIF fields that are valid for the results too, as a TIFF block; the GPS position is included only on
+    /// request.
     pub exif: Option<Vec<u8>>,
 }
 
-/// Rows read at a time when a whole frame is processed by rows: enough bands for all threads.
+/// Number of rows read at a time when a whole frame is processed by rows: 16 bands, so that all threads have work.
 const READ_ROWS: usize = 16 * BAND_ROWS;
 
 /// One decoded photograph of a bracket.
@@ -112,7 +113,7 @@ pub struct Frame {
     width: usize,
     height: usize,
     store: Store,
-    /// Number of well-exposed pixels sampled: see [`reference::well_exposed`].
+    /// Number of sampled pixels that are well exposed: see [`reference::well_exposed`].
     well_exposed: u64,
     /// Its exposure.
     pub exposure: Exposure,
@@ -120,7 +121,7 @@ pub struct Frame {
     pub profile: Option<Profile>,
     /// Other capture data.
     pub capture: Capture,
-    /// Why it is excluded from the merge unless the user includes it, for example because the flash fired.
+    /// Why the frame is excluded from the merge unless the user includes it, for example because the flash fired.
     pub excluded: Option<String>,
 }
 
@@ -195,13 +196,14 @@ impl Frame {
         self.window(0..self.height)
     }
 
-    /// Primaries of the pixel values: those of the profile, or sRGB's where there is no profile or its primaries are unknown.
+    /// Primaries of the pixel values: those of the profile, or sRGB's where there is no profile or its primaries are
+    /// unknown.
     pub fn primaries(&self) -> Primaries {
         self.profile.as_ref().and_then(|profile| profile.primaries).unwrap_or(Primaries::SRGB)
     }
 
-    /// Computes the grey image used for alignment: (54 R + 183 G + 19 B) / 256 (Ward 2003, section 2), with 8 bits
-    /// for frames of 8 or 16.
+    /// Computes the grey image used for alignment: (54 R + 183 G + 19 B) / 256 (Ward 2003, section 2), at 8 bits for 8-
+    /// and 16-bit frames.
     ///
     /// # Errors
     /// [`Error::Scratch`] where the frame is on disk and cannot be read.
@@ -209,8 +211,8 @@ impl Frame {
         self.greys(None)
     }
 
-    /// Same as [`grey`](Self::grey), but brightened by `stops` (0..=8) before rounding to 8 bits. This keeps detail of a dark frame that
-    /// rounding would lose.
+    /// Same as [`grey`](Self::grey), but brightened by `stops` (0..=8) before rounding to 8 bits. This keeps detail of
+    /// a dark frame that rounding would lose.
     ///
     /// # Errors
     /// [`Error::Scratch`] where the frame is on disk and cannot be read.
@@ -254,7 +256,8 @@ impl Bracket {
     /// Sorts `frames` by exposure and chooses the reference frame.
     ///
     /// # Errors
-    /// [`Error::TooFewFrames`], [`Error::SizeMismatch`], or [`Error::Option`] where the reference is not a frame of the bracket.
+    /// [`Error::TooFewFrames`], [`Error::SizeMismatch`], or [`Error::Option`] where the reference is not a frame of the
+    /// bracket.
     pub fn new(mut frames: Vec<Frame>, reference: &ReferenceChoice) -> Result<Self> {
         let [first, _, ..] = &frames[..] else {
             return Err(Error::TooFewFrames { given: frames.len() });
@@ -294,7 +297,8 @@ impl Bracket {
         reference::best_of(&self.frames, is_open)
     }
 
-    /// Corrects the exposure of each frame by a number of stops. The frames keep the order of their exposures as loaded.
+    /// Corrects the exposure of each frame by a number of stops. The frames stay in the order of the exposures as
+    /// loaded, even if the corrected exposures are in another order.
     ///
     /// # Panics
     /// If there is not one correction per frame.
@@ -336,7 +340,8 @@ impl Bracket {
         if self.on_disk.is_some() { rayon::current_num_threads() } else { self.frames.len() }
     }
 
-    /// Number of frames in which features may be detected at a time: one per thread where memory is sufficient, else one.
+    /// Number of frames in which features may be detected at a time: one per thread where memory is sufficient, else
+    /// one.
     pub(crate) fn detected_at_once(&self) -> usize {
         if self.on_disk.is_some() { 1 } else { rayon::current_num_threads() }
     }
@@ -347,7 +352,8 @@ impl Bracket {
         map_at_once(self.frames.len(), at_once, |i| map(&self.frames[i]))
     }
 
-    /// Returns the index of the frame read from `path` or from another path to the same file, else of the only frame with that file name.
+    /// Returns the index of the frame read from `path` or from another path to the same file, else of the only frame
+    /// with that file name.
     pub fn named(&self, path: &Path) -> Option<usize> {
         reference::named(&reference::paths(&self.frames), path)
     }

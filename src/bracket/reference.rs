@@ -9,13 +9,13 @@ use std::path::{Path, PathBuf};
 /// How the reference frame is chosen.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub enum ReferenceChoice {
-    /// The best-exposed frame: the one with the most pixels of which no channel is near either end of its range; of frames within 5 % of
-    /// the best, the one nearest the middle of the bracket.
+    /// The best-exposed frame: the one with the most pixels in which no channel is near an end of the range of pixel
+    /// values; of frames within 5 % of the best, the one nearest the middle of the bracket.
     #[default]
     Auto,
     /// Same as [`Auto`](Self::Auto), but without these files.
     AutoExcept(Vec<PathBuf>),
-    /// The N-th of the files as given, from 1.
+    /// The number of a file in the order given, from 1.
     Number(usize),
     /// The frame read from this file.
     File(PathBuf),
@@ -42,7 +42,8 @@ pub(super) fn chosen(paths: &[&Path], choice: &ReferenceChoice) -> Result<Option
     }
 }
 
-/// Returns the index of `path` or of another path to the same file in `paths`, else of the only path with that file name.
+/// Returns the index of `path` or of another path to the same file in `paths`, else of the only path with that file
+/// name.
 pub(crate) fn named(paths: &[&Path], path: &Path) -> Option<usize> {
     let real = |p: &Path| std::fs::canonicalize(p).ok();
     let same_file = || real(path).and_then(|wanted| paths.iter().position(|p| real(p).as_deref() == Some(&wanted)));
@@ -58,8 +59,8 @@ pub(super) fn paths(frames: &[Frame]) -> Vec<&Path> {
     frames.iter().map(Frame::path).collect()
 }
 
-/// Returns the best-exposed frame: see [`ReferenceChoice::Auto`]. Frames must be sorted by rising exposure. Excluded frames and those in
-/// `except` are not chosen unless there is no other.
+/// Returns the index of the best-exposed frame: see [`ReferenceChoice::Auto`]. Frames must be sorted by rising
+/// exposure. Excluded frames and those in `except` are not chosen unless there is no other.
 pub(super) fn best(frames: &[Frame], except: &[PathBuf]) -> usize {
     let paths = paths(frames);
     let mut excluded: Vec<usize> = except.iter().filter_map(|path| named(&paths, path)).collect();
@@ -70,7 +71,7 @@ pub(super) fn best(frames: &[Frame], except: &[PathBuf]) -> usize {
     best_of(frames, is_open).unwrap_or(frames.len() / 2)
 }
 
-/// Returns the best-exposed frame for which `is_open` is true.
+/// Returns the index of the best-exposed frame for which `is_open` is true.
 pub(super) fn best_of(frames: &[Frame], is_open: impl Fn(usize) -> bool) -> Option<usize> {
     let seen: Vec<u64> = frames.iter().enumerate().map(|(i, f)| if is_open(i) { f.well_exposed } else { 0 }).collect();
     let most = seen.iter().copied().max().unwrap_or(0);
@@ -80,8 +81,8 @@ pub(super) fn best_of(frames: &[Frame], is_open: impl Fn(usize) -> bool) -> Opti
         .min_by_key(|&i| ((2 * i as i64 - centre).abs(), i))
 }
 
-/// Counts the pixels with all channels within 1/16 .. 15/16 of the range, in every fourth pixel of every fourth row of an image `width`
-/// pixels wide.
+/// Counts the pixels with all channels within 1/16 .. 15/16 of the range, among every fourth pixel of every fourth row
+/// of an image `width` pixels wide.
 pub(super) fn well_exposed(samples: &Samples, width: usize) -> u64 {
     fn count<T: Copy + PartialOrd>(v: &[T], width: usize, low: T, high: T) -> u64 {
         // Branch-free, because the branches would be hard to predict.

@@ -1,7 +1,7 @@
 //! Rows of a frame's pixel values, from memory or from disk.
 //!
-//! In: a frame and a range of its rows. Out: their pixel values as a slice. Cost: none where the frame is in memory, else one read of the
-//! scratch file.
+//! In: a frame and a range of its rows. Out: their pixel values as a slice. Cost: none where the frame is in memory,
+//! else one read of the scratch file.
 
 use super::Samples;
 use crate::error::Result;
@@ -32,12 +32,12 @@ impl Store {
         Ok(())
     }
 
-    /// Size in memory, in bytes.
+    /// Size in bytes that the pixel values have in memory, also while they are on disk.
     pub fn bytes(&self) -> u64 {
         self.len() as u64 * if self.max() == u16::from(u8::MAX) { 1 } else { 2 }
     }
 
-    /// Number of values.
+    /// Number of pixel values: three per pixel.
     pub fn len(&self) -> usize {
         match self {
             Store::Held(samples) => samples.len(),
@@ -101,12 +101,12 @@ impl Window<'_> {
         self.size.1
     }
 
-    /// The range of rows.
+    /// Range of rows of the frame that the window contains.
     pub fn rows(&self) -> Range<usize> {
         self.rows.clone()
     }
 
-    /// The pixel values, from the first pixel of the first row.
+    /// Pixel values of all rows of the window, from the first pixel of its first row on.
     pub fn codes(&self) -> Codes<'_> {
         let (samples, range) = match &self.codes {
             Part::Held(samples, range) => (*samples, range.clone()),

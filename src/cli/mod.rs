@@ -1,6 +1,7 @@
 //! The command line: arguments to library options, progress, printing, exit codes.
 //!
-//! stdout carries results only: the paths written, or JSON with `--json`. Everything else goes to stderr.
+//! stdout carries results only: the paths written, JSON with `--json`, or the requested text (the brackets of a
+//! dry run, settings, help, completions, the man page). Everything else goes to stderr.
 
 mod arguments;
 mod commands;
@@ -30,9 +31,9 @@ mod heading {
     pub const RESOURCES: &str = "Resources";
 }
 
-/// Merge a bracket of differently exposed photographs to linear radiance and a tone-mapped picture.
+/// Merge photographs of one scene with different exposures to an HDR file (linear radiance) and a finished picture.
 #[derive(Debug, Parser)]
-#[command(version, about, max_term_width = 100, after_help = AFTER_HELP)]
+#[command(version, max_term_width = 100, after_help = AFTER_HELP)]
 pub struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -40,21 +41,21 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Align and merge a bracket; write radiance and a picture
+    /// Align and merge a bracket; write an HDR file (radiance) and a picture
     Merge(Box<commands::merge::Args>),
     /// Find the brackets in folders and merge them all
     Batch(Box<commands::batch::Args>),
-    /// Align a bracket; write transforms and aligned frames
+    /// Align a bracket: print the motion; write transforms and aligned frames on request
     Align(commands::align::Args),
-    /// Recover the response of a camera from one or more brackets
+    /// Recover the response of a camera (light to pixel values) from one or more brackets
     Response(commands::response::Args),
-    /// Draw how a bracket was aligned: bitmaps, keypoints, matches, edges
+    /// Draw pictures that show how a bracket was aligned
     Inspect(commands::inspect::Args),
-    /// Tone-map a radiance map, or convert it
+    /// Make a picture from an HDR file (tone mapping), or convert it to another format
     Tonemap(commands::tonemap::Args),
     /// Compare two radiance maps or two pictures, within a tolerance
     Compare(commands::compare::Args),
-    /// Print the completion script of a shell
+    /// Print a script that lets a shell complete commands with the Tab key
     Completions(commands::completions::Args),
     /// Print the man page, or write the man pages of all commands
     Man(commands::man::Args),
@@ -65,11 +66,10 @@ Exit codes:
   0  done
   1  failed, nothing written
   2  wrong usage
-  3  with --strict: written, but degraded: a frame could not be aligned, its transform was assumed or
-     is uncertain, the frames overlap by less than half, or an exposure or the response was estimated
-     or contradicts the pixels
+  3  with --strict: written, but degraded; `hdralign merge --help` lists the reasons at --strict
   compare: 0 same, 1 different, 2 error
-  batch: 0 all brackets done, 1 none done, 3 only some done (or, with --strict, a degraded result)
+  batch: 0 all brackets done, 1 none done, 3 some done, or a file could not be read or written
+         (with --strict also: a result is degraded)
 
 Examples:
   hdralign merge IMG_0001.JPG IMG_0002.JPG IMG_0003.JPG
@@ -82,7 +82,7 @@ Examples:
   hdralign compare golden/room.exr room.exr";
 
 impl Command {
-    /// The name on the command line.
+    /// Returns the name of the command on the command line.
     fn name(&self) -> &'static str {
         match self {
             Command::Merge(_) => "merge",
@@ -98,22 +98,37 @@ impl Command {
     }
 }
 
+/// Returns the definition of the command line. `-h` of a command that has more options says so.
+fn program() -> clap::Command {
+    Cli::command().mut_subcommands(|command| {
+        if !command.get_arguments().any(clap::Arg::is_hide_short_help_set) {
+            return command;
+        }
+        let help =
+            clap::Arg::new("help").short('h').long("help").action(clap::ArgAction::Help).help_heading(None::<&str>);
+        command.disable_help_flag(true).arg(
+            help.help("Print the most used options (all options: --help)")
+                .long_help("Print all options (the most used options: -h)"),
+        )
+    })
+}
+
 /// Runs the command line of this process.
 pub fn run() -> ExitCode {
     process::panics::guarded(run_command)
 }
 
 fn run_command() -> ExitCode {
-    if let Some(settings) = arguments::tone::settings_asked(Cli::command()) {
+    if let Some(settings) = arguments::tone::settings_asked(program()) {
         return ended("", tell(&settings).map(|()| ExitCode::SUCCESS));
     }
-    let parsed = Cli::command().try_get_matches().and_then(|m| Ok((Cli::from_arg_matches(&m)?.command, m)));
+    let parsed = program().try_get_matches().and_then(|m| Ok((Cli::from_arg_matches(&m)?.command, m)));
     let (command, matches) = match parsed {
         Ok(parsed) => parsed,
         Err(asked) => {
             let command = std::env::args_os().nth(1);
             let command = command.as_deref().and_then(OsStr::to_str);
-            return answer(&usage::clear(asked, &mut Cli::command(), command));
+            return answer(&usage::clear(asked, &mut program(), command));
         }
     };
     process::allocator::give_back_soon(&matches);
@@ -133,13 +148,13 @@ fn run_command() -> ExitCode {
     ended(name, outcome)
 }
 
-/// The exit code of the command `name`; an error is printed.
+/// Returns the exit code of the command `name`; prints the error if it failed.
 fn ended(name: &str, outcome: Result<ExitCode, Error>) -> ExitCode {
     match outcome {
         Ok(code) => code,
         Err(error) => {
             process::interrupt::give_way();
-            // The library does not know the commands.
+            // The library does not know the name of the command, so the example is added here.
             let example = match error {
                 Error::TooFewFrames { .. } => format!(", as in `hdralign {name} IMG_1.jpg IMG_2.jpg IMG_3.jpg`"),
                 _ => String::new(),
@@ -154,7 +169,7 @@ fn ended(name: &str, outcome: Result<ExitCode, Error>) -> ExitCode {
     }
 }
 
-/// Prints the help or the version on stdout, or an error of the arguments on stderr.
+/// Prints the help or the version on stdout, or an error of the arguments on stderr, and returns the exit code.
 fn answer(asked: &clap::Error) -> ExitCode {
     let printed = asked.print().and_then(|()| std::io::stdout().flush());
     match printed.map_or_else(lost, Ok) {
@@ -182,7 +197,7 @@ fn finish(report: &Report, options: &Results) -> Result<ExitCode, Error> {
     Ok(exit_code(options.work.strict && report.is_degraded()))
 }
 
-/// 3 if `degraded`, else 0.
+/// Returns exit code 3 if `degraded`, otherwise 0.
 fn exit_code(degraded: bool) -> ExitCode {
     if degraded { ExitCode::from(3) } else { ExitCode::SUCCESS }
 }

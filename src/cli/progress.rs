@@ -1,8 +1,8 @@
 //! The progress bar: on a terminal only, and on stderr.
 //!
-//! In: the photographs, and the stages as they start. Out: a bar, the stage, and the time left. Stages report when they start, but not their progress.
-//! The time of each is estimated from the number and size of the photographs and from the speed of earlier stages; a thread moves the bar five times
-//! a second. The bar never moves back.
+//! In: the photographs, and the stages as they start. Out: a bar, the stage, and the time left. Stages report when they
+//! start, but not their progress. The time of each stage is estimated from the number and size of the photographs and
+//! from the speed of earlier stages; a thread moves the bar five times a second. The bar never moves back.
 
 use super::terminal::Terminal;
 use hdralign::bracket::header::Header;
@@ -19,10 +19,10 @@ use std::time::{Duration, Instant};
 const STEPS: u64 = 1000;
 /// Interval between updates.
 const TICK: Duration = Duration::from_millis(200);
-/// Assumed size of a photograph that is unknown before it is read, in megapixels.
+/// Size that is assumed for a photograph whose header cannot be read, in megapixels.
 const USUAL_MEGAPIXELS: f64 = 12.0;
 
-/// A stage, and its time on two cores, in seconds.
+/// A stage, and its estimated time on two cores in seconds.
 type Planned = (Stage, f64);
 
 /// The stages of a command and their estimated times.
@@ -33,7 +33,7 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// For `merge`, with or without deghosting.
+    /// Returns the plan of `merge`, with or without deghosting.
     pub fn merge(images: &[PathBuf], seeks_ghosts: bool) -> Plan {
         let (frames, megapixels) = size(images);
         let all = frames * megapixels;
@@ -48,7 +48,7 @@ impl Plan {
         Plan { stages: plan.stages.into_iter().chain(more).collect(), ..plan }
     }
 
-    /// For `align`.
+    /// Returns the plan of `align`.
     pub fn align(images: &[PathBuf]) -> Plan {
         let (frames, megapixels) = size(images);
         let all = frames * megapixels;
@@ -56,14 +56,14 @@ impl Plan {
         Plan { frames: images.len(), stages }
     }
 
-    /// For `inspect`.
+    /// Returns the plan of `inspect`.
     pub fn inspect(images: &[PathBuf]) -> Plan {
         let mut plan = Plan::align(images);
         plan.stages.push((Stage::Inspect, 0.8 * images.len() as f64));
         plan
     }
 
-    /// For `tonemap`: a radiance map has about four bytes per pixel.
+    /// Returns the plan of `tonemap`; the file is assumed to have four bytes per pixel.
     pub fn tonemap(input: &Path) -> Plan {
         let bytes = std::fs::metadata(input).map_or(4e6 * USUAL_MEGAPIXELS, |m| m.len() as f64);
         let megapixels = bytes / 4e6;
@@ -71,13 +71,13 @@ impl Plan {
         Plan { frames: 0, stages: stages.map(|(stage, each)| (stage, each * megapixels)).to_vec() }
     }
 
-    /// For `response`, where the number of brackets is unknown: no time left is shown.
+    /// Returns an empty plan for `response`, where the number of brackets is not known: no time left is shown.
     pub fn unknown() -> Plan {
         Plan { frames: 0, stages: Vec::new() }
     }
 }
 
-/// The number of photographs, and their size in megapixels, from the header of the first.
+/// Returns the number of photographs, and their size in megapixels from the header of the first photograph.
 fn size(images: &[PathBuf]) -> (f64, f64) {
     // Our own header reader decompresses nothing and does not read from pipes.
     let header = images.first().and_then(|path| Header::read(path, &Limits::default()).ok());
@@ -88,9 +88,9 @@ fn size(images: &[PathBuf]) -> (f64, f64) {
 /// Progress of a run.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Estimate {
-    /// 0 to 1.
+    /// Share of the run that is done, from 0 to 1.
     done: f64,
-    /// In seconds; `None` until the speed of the machine is known.
+    /// Time left in seconds; `None` until the speed of the machine is known.
     left_s: Option<f64>,
 }
 
@@ -100,13 +100,14 @@ struct Course {
     plan: Plan,
     /// The current stage, and its index in the plan.
     stage: Option<(Stage, Option<usize>)>,
-    /// Measured and estimated seconds of the earlier stages.
+    /// Measured seconds of the earlier stages.
     spent: f64,
+    /// Estimated seconds of the earlier stages.
     planned: f64,
-    /// Start of the stage, in seconds of the run.
+    /// Start of the current stage, in seconds after the start of the run.
     began: f64,
     decoded: usize,
-    /// The largest share shown so far.
+    /// The largest share of the run that was shown as done so far.
     shown: f64,
 }
 
@@ -122,7 +123,7 @@ impl Course {
         }
         let place = self.plan.stages.iter().position(|(planned, _)| *planned == stage);
         let first = self.stage.and_then(|(_, place)| place).unwrap_or(0);
-        // Stages in between were skipped and do not count for the speed.
+        // Only the stage that ends now counts for the speed. Stages between it and the new stage were skipped.
         if place.is_some_and(|place| place > first) {
             self.spent += now - self.began;
             self.planned += self.plan.stages[first].1;
@@ -130,7 +131,8 @@ impl Course {
         (self.stage, self.began) = (Some((stage, place)), now);
     }
 
-    /// Measured over estimated time; `None` before the first measurement.
+    /// Returns the ratio of measured to estimated time; `None` before the first measurement. `in_stage` is the time
+    /// since the start of the current stage, in seconds.
     fn speed(&self, in_stage: f64) -> Option<f64> {
         let loads = matches!(self.stage, Some((Stage::Load, _)));
         if loads && self.decoded > 0 && self.plan.frames > 0 {
@@ -140,7 +142,7 @@ impl Course {
         (self.planned > 0.0).then(|| self.spent / self.planned)
     }
 
-    /// The progress `now` seconds after the start of the run.
+    /// Returns the progress `now` seconds after the start of the run.
     fn estimate(&mut self, now: f64) -> Estimate {
         let Some((_, Some(place))) = self.stage else { return Estimate { done: self.shown, left_s: None } };
         let in_stage = now - self.began;
@@ -155,7 +157,7 @@ impl Course {
         Estimate { done: self.shown, left_s: Some(left) }
     }
 
-    /// The current stage, with its number.
+    /// Returns the current stage with its number, as shown beside the bar.
     fn words(&self) -> String {
         let Some((stage, place)) = self.stage else { return String::new() };
         let doing = match stage {
@@ -177,7 +179,7 @@ impl Course {
     }
 }
 
-/// The time left as text, rounded more if it is longer.
+/// Returns the time left as text; longer times are rounded more.
 pub fn left(left_s: Option<f64>) -> String {
     match left_s {
         None => String::new(),
@@ -196,7 +198,7 @@ struct Shared {
     wake: Condvar,
 }
 
-/// A bar over the stages.
+/// A progress bar over the stages of a run.
 pub struct Bar {
     bar: ProgressBar,
     began: Instant,
@@ -204,19 +206,20 @@ pub struct Bar {
     thread: Option<JoinHandle<()>>,
 }
 
-/// Ignores poisoning: the state is only used for drawing.
+/// Locks `mutex`. Poisoning is ignored, because the data are only used for drawing.
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Bar {
-    /// A bar for `plan`. Nothing is shown if `quiet`, or if stderr is not a terminal that can redraw.
+    /// Creates a bar for `plan`. Nothing is shown if `quiet`, or if stderr is not a terminal that can redraw.
     pub fn new(plan: Plan, quiet: bool) -> Self {
         let terminal = Terminal::of_stderr();
         let is_shown = terminal.can_redraw && !quiet;
         let target = if is_shown { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
         let bar = ProgressBar::with_draw_target(Some(STEPS), target);
-        // 79 columns: 18 + 2 + the bar + 2 + 5 + 2 + 13.
+        // The other parts take 42 of at most 79 columns: stage 18, brackets and spaces 4, percentage 5, spaces 2, time
+        // left 13.
         let room = terminal.width.min(79).saturating_sub(44).clamp(8, 35);
         if let Ok(style) =
             ProgressStyle::with_template(&format!("{{msg:18!}} [{{bar:{room}}}] {{percent:>3}} %  {{prefix}}"))
@@ -232,7 +235,7 @@ impl Bar {
         bar
     }
 
-    /// Starts the thread that moves the bar. Without it the bar moves when a stage starts.
+    /// Starts the thread that moves the bar. If it cannot be started, the bar moves only when a stage starts.
     fn ticker(&self) -> Option<JoinHandle<()>> {
         let (bar, began, shared) = (self.bar.clone(), self.began, Arc::clone(&self.shared));
         let tick = move || {
@@ -296,7 +299,8 @@ mod tests {
         course.begins(Stage::Load, 0.0);
         assert_eq!(course.estimate(0.2), Estimate { done: 0.0, left_s: None });
         course.decoded = 1;
-        // A quarter of a planned second took half a second: 16 s in all, half a second gone.
+        // One of four frames is decoded: 0.25 s of the plan took 0.5 s, so the plan of 8 s takes 16 s, of which 15.5 s
+        // are left.
         let estimate = course.estimate(0.5);
         assert!((estimate.left_s.unwrap() - 15.5).abs() < 1e-9 && (estimate.done - 0.5 / 16.0).abs() < 1e-9);
         course.begins(Stage::Align, 2.0);
@@ -317,7 +321,8 @@ mod tests {
             assert!(estimate.done >= last && estimate.done < 1.0 && estimate.left_s.unwrap() > 5.0);
             last = estimate.done;
         }
-        // The stage after it is planned by the speed that this one showed.
+        // Load and align took 201 s instead of the planned 3 s, so merge and write, planned as 5 s, will take over 200
+        // s.
         course.begins(Stage::Merge, 201.0);
         assert!(course.estimate(201.0).left_s.unwrap() > 200.0);
         assert!(course.estimate(201.0).done >= last);

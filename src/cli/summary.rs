@@ -9,7 +9,7 @@ use std::path::Path;
 
 /// Width of the labels, in columns.
 const LABEL: usize = 11;
-/// Frames with a lower confidence are reported as uncertain.
+/// Confidence below which a frame is reported as uncertain.
 const UNCERTAIN: f64 = 0.5;
 
 /// Prints the warnings and a summary of `report`; with `verbose`, a line for each frame and the time of each stage.
@@ -39,7 +39,7 @@ pub fn warn(warnings: &[WarningReport], terminal: &Terminal) {
     }
 }
 
-/// The time of each stage.
+/// Returns the line with the time of each stage.
 fn times(report: &Report) -> String {
     let times = &report.time_s;
     let stages = [
@@ -54,7 +54,7 @@ fn times(report: &Report) -> String {
     spent.join(", ")
 }
 
-/// The lines: size, alignment, movement, white balance, frames used, range, files, time.
+/// Returns the lines: size, alignment, movement, white balance, frames used, range, files, time.
 fn lines(report: &Report, terminal: &Terminal) -> Vec<String> {
     let merged = if report.radiance.is_some() { "merged" } else { "read" };
     let problems = problems(report, terminal.room(LABEL));
@@ -70,7 +70,7 @@ fn lines(report: &Report, terminal: &Terminal) -> Vec<String> {
     let all = [
         Some(row(merged, &size(report))),
         Some(row("aligned", &aligned(report, terminal.room(LABEL)))),
-        movement(report).map(|moved| row("movement", &moved)),
+        movement(report, terminal.room(LABEL)).map(|moved| row("movement", &moved)),
         report.white_balance.map(|light| row("white", &white(light))),
         Some(format!("{}{frames}", terminal.strong(&format!("{:LABEL$}", "frames")))),
         Some(row("range", &range(report))),
@@ -80,23 +80,29 @@ fn lines(report: &Report, terminal: &Terminal) -> Vec<String> {
     all.into_iter().flatten().collect()
 }
 
-/// The white balance of the picture, as an option.
+/// Returns the option that sets the white balance `light`.
 pub fn white(light: Light) -> String {
     format!("--white-balance {light}")
 }
 
-/// How much moved, and where most of it is. `None` if nothing moved or deghosting is off.
-fn movement(report: &Report) -> Option<String> {
+/// Returns the share of the picture where something moved, the place of most of it, and the frame that is shown there,
+/// in at most `room` columns if possible; `None` if nothing moved or deghosting is off.
+fn movement(report: &Report, room: usize) -> Option<String> {
     let ghosts = report.ghosts.as_ref()?;
     let place = ghosts.place((report.crop.width_px, report.crop.height_px))?;
     let percent = match 100.0 * ghosts.ghost_fraction {
         percent if percent < 0.1 => "under 0.1".to_owned(),
         percent => format!("{percent:.1}"),
     };
-    Some(format!("in {percent} % of the picture, most of it {place}; ghosts removed"))
+    let reference = report.frames.iter().find(|frame| frame.alignment.status == Status::Reference);
+    let shown = reference.map_or_else(String::new, |frame| format!("; shown as in {}", name(&frame.path)));
+    let words = format!("in {percent} % of the picture, most of it {place}{shown}");
+    // Where the reference frame is clipped, its surroundings are continued.
+    let filled = if ghosts.continued_fraction > 0.0 { ", partly filled in" } else { "" };
+    Some(if words.chars().count() + filled.len() <= room { words + filled } else { words })
 }
 
-/// The number of frames merged, and the size of the result.
+/// Returns the number of merged frames and the size of the result as text.
 fn size(report: &Report) -> String {
     let (width, height) = (report.crop.width_px, report.crop.height_px);
     let merged = report.frames.iter().filter(|f| f.alignment.status.rejected_by().is_none()).count();
@@ -107,7 +113,7 @@ fn size(report: &Report) -> String {
     format!("{count}, {width} x {height} pixels{megapixels}")
 }
 
-/// How far the frames moved, in at most `room` columns.
+/// Returns how far the frames moved as text of at most `room` columns.
 fn aligned(report: &Report, room: usize) -> String {
     let with = |status| report.frames.iter().filter(move |f| f.alignment.status == status);
     let (moved, unmoved) = (with(Status::Aligned).count(), with(Status::Unmoved).count());
@@ -115,7 +121,7 @@ fn aligned(report: &Report, room: usize) -> String {
         |value: &dyn Fn(&FrameReport) -> Option<f64>| with(Status::Aligned).filter_map(value).fold(0.0, f64::max);
     let shift = largest(&|f| f.alignment.shift_px.map(|[x, y]| x.hypot(y)));
     let angle = largest(&|f| f.alignment.rotation_deg.map(f64::abs));
-    // The estimate is not more accurate than this.
+    // Error estimates are not more accurate than 0.1 px.
     let error = largest(&|f| f.alignment.error_px).max(0.1);
     let mut words = Vec::new();
     if moved > 0 {
@@ -132,14 +138,15 @@ fn aligned(report: &Report, room: usize) -> String {
     if let Some(path) = &report.transforms_from {
         words.push(format!("transforms from {}", name(path)));
     }
-    // The last part matters least.
+    // If the text is too long, the last part is dropped, because it matters least.
     while words.len() > 1 && words.join("; ").chars().count() > room {
         words.pop();
     }
     if words.is_empty() { "only the reference frame".into() } else { words.join("; ") }
 }
 
-/// Frames that are not used or uncertain, and what was estimated, in at most `room` columns. Empty if there are none.
+/// Returns the frames that are not used or uncertain, and whether values were estimated, as text of at most `room`
+/// columns; empty if there are no problems.
 fn problems(report: &Report, room: usize) -> String {
     let which = |is: &dyn Fn(&FrameReport) -> bool| report.frames.iter().filter(|f| is(f)).collect::<Vec<_>>();
     let rejected = which(&|f| f.alignment.status == Status::Rejected);
@@ -147,7 +154,8 @@ fn problems(report: &Report, room: usize) -> String {
     // If the camera did not move in the other frames, assumed frames are certain.
     let assumed = which(&|f| f.alignment.status == Status::Assumed && !report.stood_still());
     let is_placed = |f: &FrameReport| matches!(f.alignment.status, Status::Aligned | Status::Unmoved);
-    // If nothing could be aligned, a warning of its own gives the reason.
+    // A placed frame with a reason is assumed to be unmoved, because nothing could be aligned; a separate warning says
+    // so.
     let is_uncertain = |f: &FrameReport| f.alignment.reason.is_none() && f.alignment.confidence < UNCERTAIN;
     let uncertain = which(&|f| is_placed(f) && is_uncertain(f));
     let flash = which(&|f| f.alignment.status == Status::Flash);
@@ -160,8 +168,8 @@ fn problems(report: &Report, room: usize) -> String {
             let names = if frames.len() <= most { format!(": {}", names.join(", ")) } else { String::new() };
             (!frames.is_empty()).then(|| format!("{}{label}{names}", frames.len()))
         };
-        let guessed = is_guessed.then(|| "some values are in doubt, see the warnings".to_owned());
-        let local = is_local.then(|| "frames tone-mapped locally by the camera".to_owned());
+        let guessed = is_guessed.then(|| "some values are uncertain, see the warnings".to_owned());
+        let local = is_local.then(|| "tone-mapped locally by the camera".to_owned());
         let parts = [
             some(" rejected", &rejected),
             some(" excluded", &excluded),
@@ -172,12 +180,12 @@ fn problems(report: &Report, room: usize) -> String {
         ];
         parts.into_iter().flatten().collect::<Vec<_>>().join("; ")
     };
-    // With names if they fit.
+    // Frames with a problem are named if there are at most 8 of them; if this is too long, at most 1; otherwise none.
     let full = [8, 1].map(listed).into_iter().find(|words| words.chars().count() <= room);
     full.unwrap_or_else(|| shortened(&listed(0), room))
 }
 
-/// The range of the exposures and of the result.
+/// Returns the range of the exposures and of the result as text.
 fn range(report: &Report) -> String {
     let evs = || {
         let merged = report.frames.iter().filter(|f| f.alignment.status.rejected_by().is_none());
@@ -189,13 +197,22 @@ fn range(report: &Report) -> String {
         let scene = &merged.radiance;
         words.extend(merged.range_stops.map(|stops| format!("the result {stops:.1} stops")));
         if report.calibration.is_some() {
-            words.push(format!("{:.2e} to {:.2e} cd/m2", scene.p0_1, scene.p99_9));
+            words.push(format!("{} to {} cd/m2", plain(scene.p0_1.into()), plain(scene.p99_9.into())));
         }
     }
     words.join(", ")
 }
 
-/// The files. If they do not fit, a common name is listed once with all extensions, and the folder once.
+/// Returns `value` with at least three significant digits, as a decimal number unless it is very small or large.
+fn plain(value: f64) -> String {
+    if !(1e-3..1e7).contains(&value) {
+        return format!("{value:.2e}");
+    }
+    format!("{value:.*}", (2.0 - value.log10().floor()).max(0.0) as usize)
+}
+
+/// Returns the files as text. If they do not fit, a common name is listed once with all its extensions, and the common
+/// folder once.
 fn files(outputs: &[String], room: usize) -> String {
     let Some(first) = outputs.first() else { return "none written".into() };
     let whole = outputs.join(", ");
@@ -219,12 +236,12 @@ fn files(outputs: &[String], room: usize) -> String {
     if is_in_one && !place.is_empty() && left >= 12 { format!("{names} in {}", shortened(&place, left)) } else { names }
 }
 
-/// The last part of a path.
+/// Returns the last part of a path.
 fn name(path: &str) -> &str {
     Path::new(path).file_name().and_then(|n| n.to_str()).unwrap_or(path)
 }
 
-/// A duration, as `8.5 s` or `3 min 20 s`.
+/// Returns a duration as text, such as `8.5 s` or `3 min 20 s`.
 pub fn duration(seconds: f64) -> String {
     if seconds < 90.0 {
         format!("{seconds:.1} s")
@@ -232,7 +249,7 @@ pub fn duration(seconds: f64) -> String {
         format!("{} min {:02} s", (seconds / 60.0) as u64, (seconds % 60.0) as u64)
     }
 }
-/// A line on one frame.
+/// Returns the line for one frame.
 fn line(frame: &FrameReport) -> String {
     let place = &frame.alignment;
     let ev = frame.relative_exposure.log2();
@@ -259,7 +276,10 @@ fn line(frame: &FrameReport) -> String {
         if let Some(error) = place.error_px {
             text += &format!(", within {error:.2} px");
         }
-        text += &format!(", confidence {:.2}", place.confidence);
+        // An excluded frame has a confidence of 1, although it was not aligned.
+        if !matches!(place.status, Status::Excluded | Status::Flash) {
+            text += &format!(", confidence {:.2}", place.confidence);
+        }
     }
     text
 }
@@ -271,12 +291,18 @@ mod tests {
     use hdralign::pipeline::{self, Options};
     use std::path::PathBuf;
 
-    /// The report of a real bracket.
+    /// Returns the report of a real bracket of three photographs.
     fn report() -> Report {
         let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/testdata/window");
         let images: Vec<PathBuf> = [2, 3, 4].iter().map(|i| format!("{folder}/window_{i}.jpg").into()).collect();
         let align = AlignOptions { mode: AlignMode::None, ..AlignOptions::default() };
         pipeline::align_only(&images, &Options { align, ..Options::default() }, &pipeline::unwatched).unwrap()
+    }
+
+    #[test]
+    fn luminance_is_a_plain_number_unless_it_is_extreme() {
+        let shown = [2.0512, 11_934.0, 0.0123, 445.4, 99.99, 1e-5, 3e8].map(plain);
+        assert_eq!(shown, ["2.05", "11934", "0.0123", "445", "100.0", "1.00e-5", "3.00e8"]);
     }
 
     #[test]

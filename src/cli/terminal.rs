@@ -3,17 +3,17 @@
 use console::{Term, measure_text_width};
 use std::io::IsTerminal;
 
-/// Columns of a terminal of unknown width.
+/// Width that is assumed for a terminal of unknown width, in columns.
 const COLUMNS: usize = 80;
-/// Columns of a file: lines are not wrapped or shortened, so that they can be searched.
+/// Width in columns if stderr is not a terminal: lines are not wrapped or shortened, so that they can be searched.
 const NO_TERMINAL: usize = 1 << 20;
-/// Smallest width that is used.
+/// Smallest width that is used for a terminal, in columns.
 const LEAST: usize = 40;
 
 /// Properties of stderr.
 #[derive(Debug, Clone, Copy)]
 pub struct Terminal {
-    /// Columns.
+    /// Width in columns.
     pub width: usize,
     has_colours: bool,
     /// Whether the cursor can be moved.
@@ -21,7 +21,8 @@ pub struct Terminal {
 }
 
 impl Terminal {
-    /// stderr of this process. Colours are used on a terminal only, unless NO_COLOR is set, CLICOLOR is 0, or TERM is dumb.
+    /// Returns the properties of stderr of this process. Colours are used only on a terminal, and not if NO_COLOR is
+    /// set, CLICOLOR is 0, or TERM is dumb.
     pub fn of_stderr() -> Terminal {
         if !std::io::stderr().is_terminal() {
             return Terminal { width: NO_TERMINAL, has_colours: false, can_redraw: false };
@@ -34,28 +35,28 @@ impl Terminal {
         Terminal { width: width.max(LEAST), has_colours, can_redraw }
     }
 
-    /// A terminal of `width` columns without colours.
+    /// Returns the properties of a terminal of `width` columns without colours.
     #[cfg(test)]
     pub fn plain(width: usize) -> Terminal {
         Terminal { width, has_colours: false, can_redraw: false }
     }
 
-    /// `text` in green, if there are colours.
+    /// Returns `text` in green, if the terminal has colours.
     pub fn good(&self, text: &str) -> String {
         self.coloured("32", text)
     }
 
-    /// `text` in red.
+    /// Returns `text` in red, if the terminal has colours.
     pub fn bad(&self, text: &str) -> String {
         self.coloured("31", text)
     }
 
-    /// `text` in yellow.
+    /// Returns `text` in yellow, if the terminal has colours.
     pub fn doubtful(&self, text: &str) -> String {
         self.coloured("33", text)
     }
 
-    /// `text` in bold.
+    /// Returns `text` in bold, if the terminal has colours.
     pub fn strong(&self, text: &str) -> String {
         self.coloured("1", text)
     }
@@ -64,12 +65,14 @@ impl Terminal {
         if self.has_colours { format!("\u{1b}[{code}m{text}\u{1b}[0m") } else { text.to_owned() }
     }
 
-    /// Columns available after `indent`. The last one is not used, because some terminals then start a new line.
+    /// Returns the number of columns after `indent`, without the last column: after a character in it, some terminals
+    /// start a new line.
     pub fn room(&self, indent: usize) -> usize {
         self.width.saturating_sub(indent + 1).max(LEAST / 2)
     }
 
-    /// Wraps `text` at spaces to lines that leave `indent` columns free. Longer words, such as paths, are shortened in the middle. Never empty.
+    /// Wraps `text` at spaces to lines that leave `indent` columns free. Words longer than a line, such as paths, are
+    /// shortened in the middle. Returns at least one line.
     pub fn wrapped(&self, text: &str, indent: usize) -> Vec<String> {
         let room = self.room(indent);
         let text: String = text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();

@@ -1,7 +1,7 @@
 //! Errors of the arguments: with likely suggestions only, and the usage of the command.
 //!
-//! In: the error of clap. Out: the same without misleading parts: clap suggests `--response` for `--resize`, and shows the usage of the option that it
-//! suggests. Cost: none.
+//! In: the error of clap. Out: the error without misleading parts: clap suggests `--response` for `--resize`, and shows
+//! the usage of the option that it suggests. Cost: none.
 
 use clap::Command;
 use clap::error::{ContextKind, ContextValue, Error};
@@ -26,9 +26,12 @@ pub fn clear(mut error: Error, program: &mut Command, command: Option<&str>) -> 
             error.insert(tip, likely);
         }
     }
-    // An empty suggestion would print an empty line.
-    if error.get(ContextKind::Suggested) == Some(&ContextValue::StyledStrs(Vec::new())) {
-        error.remove(ContextKind::Suggested);
+    // Without the suggestion to pass an unknown option as a file. An empty list would print an empty line.
+    if let Some(ContextValue::StyledStrs(mut tips)) = error.remove(ContextKind::Suggested) {
+        tips.retain(|tip| !tip.to_string().ends_with(&format!("-- {}'", typed_argument(&error))));
+        if !tips.is_empty() {
+            error.insert(ContextKind::Suggested, ContextValue::StyledStrs(tips));
+        }
     }
     if error.get(ContextKind::Usage).is_some() {
         program.build();
@@ -36,6 +39,14 @@ pub fn clear(mut error: Error, program: &mut Command, command: Option<&str>) -> 
         error.insert(ContextKind::Usage, ContextValue::StyledStr(command.render_usage()));
     }
     error
+}
+
+/// Returns the unknown argument of `error`; empty if there is none.
+fn typed_argument(error: &Error) -> &str {
+    match error.get(ContextKind::InvalidArg) {
+        Some(ContextValue::String(typed)) => typed,
+        _ => "",
+    }
 }
 
 /// Whether `typed` may be a typing error of `name`: at most one error in three letters, as in rustc

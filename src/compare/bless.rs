@@ -2,8 +2,8 @@
 //!
 //! In: two paths. Out: a copy, byte for byte, in place of the expected file, which need not exist. Cost: that of a copy and an fsync.
 //!
-//! The copy is written beside its target and renamed, so that readers get either the old file or the complete new one. It is readable by those who could
-//! read the replaced file, or the copied one if there was none.
+//! The copy is written beside its target and renamed, so that readers get either the old file or the complete new one.
+//! It has the permissions of the replaced file, without those that the copied file does not have.
 
 use super::input::{Input, Pixels};
 use crate::error::{Error, Result, Warning};
@@ -13,7 +13,7 @@ use crate::write::{self, Target};
 use std::fs;
 use std::path::Path;
 
-/// What was done.
+/// What [`bless`] did.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Blessed {
     /// The expected file did not exist and was created.
@@ -27,7 +27,7 @@ pub enum Blessed {
 /// Copies the file `actual` to the file `expected`, which need not exist. `actual` must be a file that can be compared. Also returns warnings.
 ///
 /// # Errors
-/// Those of reading `actual`; [`Error::Option`] when the extensions are those of different formats; [`Error::Write`].
+/// Those of reading `actual`; [`Error::Option`] if the extensions belong to different formats; [`Error::Write`].
 pub fn bless(expected: &Path, actual: &Path, limits: &Limits) -> Result<(Blessed, Vec<Warning>)> {
     let input = Input::open(actual, limits)?;
     if format(expected) != format(actual) {
@@ -54,7 +54,7 @@ pub fn bless(expected: &Path, actual: &Path, limits: &Limits) -> Result<(Blessed
     Ok((if exists { Blessed::Replaced } else { Blessed::Created }, warnings))
 }
 
-/// A warning when `input`, the file `path`, has pixels that are not finite numbers.
+/// Returns a warning if `input`, which was read from the file `path`, has pixels that are not finite numbers.
 fn not_numbers(input: &Input, path: &Path) -> Option<Warning> {
     let Pixels::Radiance(map, _) = &input.pixels else { return None };
     let pixels = map.pixels.as_slice();
@@ -62,12 +62,12 @@ fn not_numbers(input: &Input, path: &Path) -> Option<Warning> {
     let which = if count == pixels.len() { "all".to_owned() } else { format!("{count} of {}", pixels.len()) };
     let detail = format!(
         "{which} pixels have values that are not finite numbers (NaN, infinity); they are part of the expected file now. If they are an error, \
-         create the file again and bless it"
+         create the file again and repeat --bless"
     );
     (count > 0).then(|| Warning::Metadata { path: path.to_owned(), detail })
 }
 
-/// The extension in lower case, with one spelling for formats that have two.
+/// Returns the extension in lower case, with one spelling for formats that have two.
 fn format(path: &Path) -> String {
     let extension = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
     match extension.as_str() {

@@ -6,7 +6,7 @@
 
 use libm::{atan2, cbrt, cos, exp, hypot, sin, sqrt};
 
-/// 25^7.
+/// 25^7, a constant of the formula.
 const FAR: f64 = 6_103_515_625.0;
 
 /// A colour of CIELAB.
@@ -18,7 +18,7 @@ pub(super) struct Lab {
 }
 
 impl Lab {
-    /// From XYZ relative to white.
+    /// Converts XYZ relative to white to CIELAB.
     pub fn of(xyz: [f64; 3]) -> Lab {
         const DELTA: f64 = 6.0 / 29.0;
         let f = |t: f64| if t > DELTA * DELTA * DELTA { cbrt(t) } else { t / (3.0 * DELTA * DELTA) + 4.0 / 29.0 };
@@ -27,7 +27,7 @@ impl Lab {
     }
 }
 
-/// The difference of two colours.
+/// Returns the difference dE of two colours.
 pub(super) fn difference(p: Lab, q: Lab) -> f64 {
     if p == q {
         return 0.0;
@@ -36,7 +36,7 @@ pub(super) fn difference(p: Lab, q: Lab) -> f64 {
         let cube = c * c * c;
         cube * cube * c
     };
-    // Equations 2 to 7: a is scaled up near grey.
+    // Equations 2 to 7: the coordinate a is scaled up near grey.
     let chroma = 0.5 * (hypot(p.a, p.b) + hypot(q.a, q.b));
     let stretch = 1.0 + 0.5 * (1.0 - sqrt(seventh(chroma) / (seventh(chroma) + FAR)));
     let (a1, a2) = (stretch * p.a, stretch * q.a);
@@ -85,7 +85,7 @@ mod tests {
     fn it_gives_the_papers_table() {
         let blue = [50.0, 0.0, -82.7485];
         let red = [50.0, 2.5, 0.0];
-        // Table 1, to the four digits that it has.
+        // Table 1 of the paper, which has four decimals.
         let table = [
             ([50.0, 2.6772, -79.7751], blue, 2.0425),
             ([50.0, 3.1571, -77.2803], blue, 2.8615),
@@ -128,7 +128,7 @@ mod tests {
         let white = Lab::of([1.0; 3]);
         assert!((white.l - 100.0).abs() < 1e-12 && white.a.abs() < 1e-12 && white.b.abs() < 1e-12);
         assert!(Lab::of([0.0; 3]).l.abs() < 1e-12);
-        // 18 % grey.
+        // Grey that reflects 18.4 % has the lightness 50.
         assert!((Lab::of([0.184_187; 3]).l - 50.0).abs() < 1e-3);
     }
 }

@@ -17,9 +17,9 @@ use nalgebra::{Matrix3, Vector3};
 
 /// Luminance of display white, in cd/m2.
 const WHITE_CD_M2: f32 = 100.0;
-/// Smallest dE of pixels whose code values differ, so that they never count as equal ...
+/// Smallest dE that is assigned to pixels whose code values differ, so that they never count as equal.
 const LEAST_DE: f64 = 1e-6;
-/// ... and dE below which pixels are equal when the profiles differ, to allow for rounding in profiles.
+/// The dE below which pixels count as equal if the profiles differ, to allow for rounding in profiles.
 const ROUNDED_DE: f64 = 0.05;
 
 /// Compares the picture `b` with the picture `a`, both of one size.
@@ -75,7 +75,8 @@ pub(super) fn measure(a: &Photograph, b: &Photograph) -> Measured {
     Measured::new(Magnitudes { plane, unit: Unit::DeltaE }, (&light_a, &light_b), None, Some(display))
 }
 
-/// Sums over pixels. Those of code values are integers and independent of the order; those of dE are folded in order.
+/// Sums over pixels. Sums of code values are integers, which do not depend on the order of summation; sums of dE are
+/// always added in the same order.
 #[derive(Debug, Clone, Copy, Default)]
 struct Tally {
     max: [u16; 3],
@@ -104,7 +105,7 @@ impl Tally {
     }
 }
 
-/// Code values on the scale 0 to `max`.
+/// Returns the code values on a scale from 0 to `max`.
 fn rescaled(samples: &Samples, max: u16) -> Vec<u16> {
     match samples {
         Samples::Eight(v) if max == u16::MAX => v.iter().map(|&code| u16::from(code) * 257).collect(),
@@ -113,7 +114,7 @@ fn rescaled(samples: &Samples, max: u16) -> Vec<u16> {
     }
 }
 
-/// The picture in linear light, 0 to 1.
+/// Returns the picture in linear light from 0 to 1, with `conversion` applied if there is one.
 fn linear(photograph: &Photograph, codes: &Codes, conversion: Option<Conversion>) -> Plane<[f32; 3]> {
     let (width, height) = (photograph.width, photograph.height);
     Plane::from_rows(width, height, |y, row| {
@@ -132,7 +133,8 @@ fn linear(photograph: &Photograph, codes: &Codes, conversion: Option<Conversion>
     })
 }
 
-/// Converts linear light to CIELAB relative to its white.
+/// Returns the conversion of linear light with the primaries of `codes` to CIELAB, relative to the white of these
+/// primaries.
 fn to_lab(codes: &Codes) -> impl Fn([f32; 3]) -> Lab + Sync {
     let matrix = codes.primaries.to_xyz().unwrap_or_else(Matrix3::identity);
     let white = matrix * Vector3::repeat(1.0);

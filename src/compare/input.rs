@@ -22,7 +22,7 @@ pub(super) struct Input {
     path: PathBuf,
     pub pixels: Pixels,
     pub warnings: Vec<Warning>,
-    /// Detects changes of the file before its bytes are read again.
+    /// The state of the file when it was read, by which later changes of the file are detected.
     pub stamp: Stamp,
 }
 
@@ -54,7 +54,7 @@ impl Input {
         }
     }
 
-    /// Width and height in pixels.
+    /// Returns the width and height in pixels.
     pub fn size(&self) -> (usize, usize) {
         match &self.pixels {
             Pixels::Radiance(map, _) => (map.pixels.width(), map.pixels.height()),
@@ -62,7 +62,7 @@ impl Input {
         }
     }
 
-    /// Memory of the pixels in bytes.
+    /// Returns the memory of the pixels in bytes.
     pub fn bytes(&self) -> u64 {
         match &self.pixels {
             Pixels::Radiance(map, _) => size_of_val(map.pixels.as_slice()) as u64,
@@ -70,7 +70,7 @@ impl Input {
         }
     }
 
-    /// What the file contains, for messages.
+    /// Returns what the file contains, for messages.
     pub fn kind(&self) -> &'static str {
         match self.pixels {
             Pixels::Radiance(..) => "radiance",
@@ -78,12 +78,12 @@ impl Input {
         }
     }
 
-    /// The file name without folders, for messages.
+    /// Returns the file name without folders, for messages.
     pub fn name(&self) -> String {
         self.path.file_name().unwrap_or_default().to_string_lossy().into_owned()
     }
 
-    /// The description for the report.
+    /// Returns the description of the file for the report.
     pub fn side(&self) -> Side {
         let (width_px, height_px) = self.size();
         let depth_bits = match &self.pixels {
@@ -93,7 +93,7 @@ impl Input {
         Side { path: self.path.to_string_lossy().into_owned(), width_px, height_px, depth_bits }
     }
 
-    /// Red, green and blue at a pixel: radiance, or code values.
+    /// Returns red, green and blue at a pixel: radiance, or code values.
     pub fn at(&self, x: usize, y: usize) -> [f64; 3] {
         match &self.pixels {
             Pixels::Radiance(map, _) => map.pixels.at(x, y).map(f64::from),
@@ -107,7 +107,7 @@ impl Input {
         }
     }
 
-    /// Whether the files have the same bytes.
+    /// Returns whether the files have the same bytes.
     pub fn bytes_equal(&self, other: &Input) -> Result<bool> {
         let equal = self.compare_bytes(other)?;
         self.stamp.check()?;
@@ -136,7 +136,7 @@ impl Input {
         }
     }
 
-    /// The metadata that differ.
+    /// Returns the metadata that differ.
     pub fn changed(&self, other: &Input) -> Vec<Changed> {
         let both = self.metadata().into_iter().zip(other.metadata());
         let text = |value: Option<Value>| value.map(|value| value.to_string());
@@ -145,7 +145,7 @@ impl Input {
             .collect()
     }
 
-    /// The metadata, in a fixed order.
+    /// Returns the metadata in a fixed order.
     fn metadata(&self) -> [(&'static str, Option<Value>); 11] {
         let number = |v: Option<f64>| v.map(Value::Number);
         let text = |v: Option<String>| v.map(Value::Text);
@@ -192,7 +192,8 @@ impl Display for Value {
     }
 }
 
-/// Whether both values are the same; numbers within the precision of an `f32`, the lowest in which a format stores them.
+/// Returns whether both values are the same. Numbers may differ by the precision of an `f32`, the lowest precision in
+/// which a format stores them.
 fn is_same(a: Option<&Value>, b: Option<&Value>) -> bool {
     match (a, b) {
         (None, None) => true,
@@ -207,7 +208,7 @@ fn is_same(a: Option<&Value>, b: Option<&Value>) -> bool {
 /// Largest number of names in a warning.
 const NAMED: usize = 8;
 
-/// A warning that the parts `unread` of the file `path` are not compared.
+/// Returns a warning that the parts `unread` of the file `path` are not compared; `None` if there are no such parts.
 fn not_compared(path: &Path, unread: &[String]) -> Option<Warning> {
     let (last, others) = unread.split_last()?;
     let list = match (others, others.len().checked_sub(NAMED)) {
@@ -218,7 +219,7 @@ fn not_compared(path: &Path, unread: &[String]) -> Option<Warning> {
     Some(Warning::Metadata { path: path.to_owned(), detail: format!("its {list} not compared") })
 }
 
-/// The primaries as text, rounded so that formats that store them less precisely still have the same colour space.
+/// Returns the primaries as text, rounded so that the text is the same for formats that store them less precisely.
 fn chromaticities(primaries: &Primaries) -> String {
     let Primaries { red, green, blue, white } = primaries;
     [red, green, blue, white].map(|xy| format!("{:.4} {:.4}", xy[0], xy[1])).join(", ")

@@ -6,18 +6,18 @@
 use crate::bracket::Photograph;
 use crate::bracket::colour::{Primaries, Transfer};
 
-/// The light of code values.
+/// The linear light of the code values of a picture.
 #[derive(Debug, Clone)]
 pub(super) struct Codes {
     transfer: Transfer,
-    /// Light by code value, for red, green and blue.
+    /// Linear light by code value, for red, green and blue.
     pub curves: [Vec<f32>; 3],
-    /// The primaries.
+    /// The primaries of that light.
     pub primaries: Primaries,
 }
 
 impl Codes {
-    /// The code values of a photograph.
+    /// Returns the light of the code values of `photograph`, by its profile and bit depth.
     pub fn of(photograph: &Photograph) -> Codes {
         let transfer = Transfer::of(photograph.profile.as_ref());
         let max = photograph.samples.max();
@@ -27,7 +27,7 @@ impl Codes {
         Codes { curves, primaries: primaries.unwrap_or(Primaries::SRGB), transfer }
     }
 
-    /// Whether code values of both represent the same colours, up to rounding in profiles.
+    /// Returns whether equal relative code values represent equal colours in both, up to rounding in profiles.
     pub fn mean_the_same(&self, other: &Codes) -> bool {
         self.transfer.is_close(&other.transfer) && self.primaries.is_close(&other.primaries, 0.005)
     }

@@ -30,17 +30,17 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Version of the report format. Keys are only added to it.
+/// Version of the report format: keys may be added, but are never removed.
 pub const SCHEMA: &str = "hdralign-compare/1";
 
 /// Default tolerance for radiance, in stops: a third of the rounding error of RGBE in the darkest channels, ten times that of half floats, and half of the
 /// smallest gain worth reporting.
 pub const DEFAULT_STOPS: f64 = 0.01;
 
-/// How far a pixel may be from the expected one.
+/// Largest difference that is allowed between a pixel and the expected pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum Tolerance {
-    /// [`DEFAULT_STOPS`] for radiance; pictures must be equal.
+    /// [`DEFAULT_STOPS`] for radiance; for pictures none, so that pixels must be equal.
     #[default]
     ByKind,
     /// Stops in each channel; for radiance only.
@@ -49,17 +49,18 @@ pub enum Tolerance {
     DeltaE(f64),
 }
 
-/// When two files count as the same.
+/// The condition under which two files count as the same.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Criterion {
-    /// When at most a share of the pixels exceeds a tolerance.
+    /// The files are the same if at most a share of the pixels exceeds a tolerance.
     Pixels {
-        /// How far a pixel may be from the expected one.
+        /// Largest difference that is allowed between a pixel and the expected pixel.
         tolerance: Tolerance,
         /// Largest share of pixels beyond the tolerance, in percent.
         most_differing_percent: f64,
     },
-    /// When the peak signal-to-noise ratio is high enough: PU21-PSNR for radiance, PSNR of code values for pictures.
+    /// The files are the same if the peak signal-to-noise ratio is high enough: PU21-PSNR for radiance, PSNR of code
+    /// values for pictures.
     Psnr {
         /// Smallest accepted value, in dB.
         least_db: f64,
@@ -75,13 +76,13 @@ impl Default for Criterion {
 /// How files are compared.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Options {
-    /// When the files count as the same.
+    /// The condition under which the files count as the same.
     pub criterion: Criterion,
     /// Path of a PNG to write, with the expected picture, the difference in false colours and the actual picture side by side.
     pub diff: Option<PathBuf>,
     /// Whether the PNG may replace an existing file. Off by default.
     pub overwrite: bool,
-    /// Limits on the files.
+    /// Limits on the size of the files and on memory.
     pub allowed: limits::Limits,
 }
 
@@ -95,7 +96,7 @@ pub enum Outcome {
     Differs,
 }
 
-/// One of the files.
+/// One of the two files that are compared.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Side {
     /// The path as given.
@@ -108,27 +109,27 @@ pub struct Side {
     pub depth_bits: Option<u32>,
 }
 
-/// The limits that were applied; null for those that were not.
+/// The limits that were applied; null for limits that were not.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Limits {
-    /// See [`Tolerance::Stops`].
+    /// Largest allowed difference in stops ([`Tolerance::Stops`]).
     pub tolerance_stops: Option<f64>,
-    /// See [`Tolerance::DeltaE`]; 0 when pixels must be equal.
+    /// Largest allowed difference in dE ([`Tolerance::DeltaE`]); 0 if pixels must be equal.
     pub tolerance_de: Option<f64>,
     /// Largest share of pixels beyond the tolerance, in percent.
     pub max_differing_percent: Option<f64>,
-    /// See [`Criterion::Psnr`].
+    /// Smallest accepted PSNR in dB ([`Criterion::Psnr`]).
     pub min_psnr_db: Option<f64>,
 }
 
 /// Statistics of the pixels that differ.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Differing {
-    /// Pixels beyond the tolerance; when the criterion is the PSNR, pixels that are not equal.
+    /// Number of pixels beyond the tolerance; if the criterion is the PSNR, number of pixels that are not equal.
     pub differing_pixels: usize,
-    /// The same in percent of all pixels.
+    /// `differing_pixels` in percent of all pixels.
     pub differing_percent: f64,
-    /// Pixels that are not equal.
+    /// Number of pixels that are not equal.
     pub unequal_pixels: usize,
     /// The pixel with the largest difference, the first if there are several; null when all are equal.
     pub largest: Option<Largest>,
@@ -137,17 +138,18 @@ pub struct Differing {
 /// The pixel with the largest difference.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Largest {
-    /// Its column.
+    /// Column of the pixel.
     pub x_px: usize,
-    /// Its row.
+    /// Row of the pixel.
     pub y_px: usize,
-    /// For radiance, the largest difference of a channel; null when a value is NaN or infinite in only one of the files.
+    /// For radiance, the difference in the channel where it is largest; null if a value is NaN or infinite in only one
+    /// of the files.
     pub stops: Option<f64>,
     /// For pictures, the difference by CIEDE2000.
     pub de: Option<f64>,
     /// Expected red, green and blue: radiance, or code values.
     pub expected: [Option<f64>; 3],
-    /// Actual red, green and blue.
+    /// Actual red, green and blue: radiance, or code values.
     pub actual: [Option<f64>; 3],
 }
 
@@ -158,9 +160,9 @@ pub struct ChannelStops {
     pub channel: &'static str,
     /// The largest difference.
     pub max_stops: f64,
-    /// Root mean square.
+    /// Root mean square difference.
     pub rms_stops: f64,
-    /// Signed mean, positive when the actual file is brighter. It shows a gain.
+    /// Signed mean difference, positive if the actual file is brighter: for files that differ by a gain, the gain.
     pub mean_stops: f64,
 }
 
@@ -169,15 +171,16 @@ pub struct ChannelStops {
 pub struct RadianceDifference {
     /// Radiance below which differences are relative to this value instead of to the pixel.
     pub floor: f64,
-    /// Red, green, blue.
+    /// Differences of red, green and blue.
     pub channels: [ChannelStops; 3],
-    /// Root mean square over all channels.
+    /// Root mean square difference over all channels.
     pub rms_stops: f64,
-    /// Signed mean over all channels.
+    /// Signed mean difference over all channels.
     pub mean_stops: f64,
-    /// Pixels that are NaN or infinite in only one of the files; they are excluded from the means.
+    /// Number of pixels that are NaN or infinite in only one of the files; they are excluded from the means.
     pub not_comparable_pixels: usize,
-    /// Luminance of radiance 1 in cd/m2, used for PU21: from the expected file, or such that its 99.9th percentile is 1000.
+    /// Luminance of radiance 1 in cd/m2, used for PU21: from the expected file if it is calibrated, otherwise such that
+    /// the 99.9th percentile of its luminance is 1000.
     pub cd_m2_per_unit: f64,
 }
 
@@ -188,31 +191,31 @@ pub struct ChannelCodes {
     pub channel: &'static str,
     /// The largest difference, in code values of the file with more bits.
     pub max_codes: u16,
-    /// Signed mean, positive when the actual file is brighter.
+    /// Signed mean difference, positive if the actual file is brighter.
     pub mean_codes: f64,
 }
 
 /// Differences of two pictures.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DisplayDifference {
-    /// Red, green, blue.
+    /// Differences of red, green and blue.
     pub channels: [ChannelCodes; 3],
     /// The largest difference by CIEDE2000.
     pub de_max: f64,
-    /// The mean difference over all pixels.
+    /// The mean difference by CIEDE2000 over all pixels.
     pub de_mean: f64,
     /// PSNR of the code values of all channels; null when they are equal.
     pub psnr_db: Option<f64>,
 }
 
-/// Metadata that differ.
+/// A metadata value that differs between the files.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Changed {
     /// Name of the value.
     pub key: &'static str,
-    /// Value in the expected file; null when it has none.
+    /// Value in the expected file; null if that file has none.
     pub expected: Option<String>,
-    /// Value in the actual file; null when it has none.
+    /// Value in the actual file; null if that file has none.
     pub actual: Option<String>,
 }
 
@@ -225,7 +228,7 @@ pub struct Comparison {
     pub software: &'static str,
     /// Whether the files count as the same.
     pub verdict: Outcome,
-    /// The reason, as text.
+    /// The reason for the outcome, as text.
     pub reason: String,
     /// The expected file.
     pub expected: Side,
@@ -237,7 +240,7 @@ pub struct Comparison {
     pub bytes_equal: bool,
     /// Whether every pixel is equal; null when the sizes differ.
     pub pixels_equal: Option<bool>,
-    /// Pixels that differ; null when the sizes differ.
+    /// Statistics of the pixels that differ; null if the sizes differ.
     pub differing: Option<Differing>,
     /// Differences of radiance; null when the sizes differ, and for pictures.
     pub radiance: Option<RadianceDifference>,
@@ -251,25 +254,25 @@ pub struct Comparison {
     pub metadata: Vec<Changed>,
     /// Path of the difference picture, if one was requested.
     pub diff: Option<String>,
-    /// Warnings.
+    /// Warnings on the files.
     pub warnings: Vec<String>,
 }
 
 impl Comparison {
-    /// Whether the files count as the same.
+    /// Returns whether the files count as the same.
     pub fn is_same(&self) -> bool {
         self.verdict == Outcome::Same
     }
 
-    /// The comparison as JSON, with a final newline. Numbers that are not finite are null.
+    /// Returns the comparison as JSON, with a final line feed. Numbers that are not finite are null.
     pub fn to_json(&self) -> String {
-        // Serialisation only fails for maps with keys that are not strings, and there are none.
+        // Serialisation fails only for maps with keys that are not strings; the comparison contains no maps.
         let json = serde_json::to_string_pretty(self).unwrap_or_default();
         json + "\n"
     }
 }
 
-/// The difference of every pixel; [`f32::INFINITY`] when it has no value.
+/// The difference of every pixel in `unit`; [`f32::INFINITY`] if a pixel is NaN or infinite in only one of the files.
 #[derive(Debug, Clone)]
 struct Magnitudes {
     plane: Plane<f32>,
@@ -324,7 +327,8 @@ fn by_bands<T: Default + Send>(
     (plane, sums)
 }
 
-/// Working memory in bytes per pixel while radiance and while pictures are compared; pictures are converted to linear light first. Measured.
+/// Working memory in bytes per pixel, measured: while radiance maps are compared, and while pictures are compared,
+/// which are converted to linear light first.
 const MEASURED: (u64, u64) = (16, 36);
 
 /// Checks that comparing the files does not exceed the memory limit.
@@ -339,9 +343,9 @@ fn check_memory(a: &Input, b: &Input, allowed: &limits::Limits) -> Result<()> {
 /// Compares the file `actual` with the file `expected`.
 ///
 /// # Errors
-/// [`Error::Read`], [`Error::Changed`], [`Error::Decode`]; [`Error::NotComparable`] for a file of an unknown format; [`Error::KindsDiffer`] when one file is
-/// radiance and the other a picture; [`Error::Option`] for an invalid tolerance, a tolerance for the other kind, or too little memory; those of writing for
-/// the difference picture.
+/// [`Error::Read`], [`Error::Changed`], [`Error::Decode`]; [`Error::NotComparable`] for a file of an unknown format;
+/// [`Error::KindsDiffer`] if one file is radiance and the other a picture; [`Error::Option`] for an invalid tolerance,
+/// a tolerance for the other kind of file, or too little memory; errors of writing the difference picture.
 pub fn files(expected: &Path, actual: &Path, options: &Options) -> Result<Comparison> {
     outcome::validate(&options.criterion)?;
     if let Some(diff) = &options.diff {

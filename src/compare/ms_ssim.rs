@@ -4,8 +4,9 @@
 //! Bovik 2003, "Multi-scale structural similarity for image quality assessment", equation 7 and section 3.2 (the exponents); the window of
 //! Wang, Bovik, Sheikh & Simoncelli 2004, section III.B: a Gaussian of 11 x 11 pixels and 1.5 pixels, K1 = 0.01, K2 = 0.03.
 //!
-//! The pictures are converted to PU21 luminance, so that radiance is compared as perceived. L is 256, the encoded value of 100 cd/m2, as PU21 is intended to
-//! be used with metrics for 8 bits. A picture too small for five scales is compared at as many as fit, with the exponents of those normalised to sum to 1.
+//! The pictures are converted to PU21 luminance, so that radiance is compared as perceived. The dynamic range L of the
+//! paper is 256, the encoded value of 100 cd/m2, because PU21 is made for metrics for 8 bits. A picture that is too
+//! small for five scales is compared at as many scales as fit, with exponents that are normalised to sum to 1.
 
 use super::pu21::Light;
 use crate::plane::{Plane, fold_bands};
@@ -16,16 +17,17 @@ use std::ops::Range;
 const EXPONENTS: [f64; 5] = [0.0448, 0.2856, 0.3001, 0.2363, 0.1333];
 /// Side of the window in pixels.
 const WINDOW: usize = 11;
-/// (K1 L)^2 and (K2 L)^2.
+/// (K1 L)^2, which stabilises the comparison of luminance.
 const C1: f64 = 2.56 * 2.56;
+/// (K2 L)^2, which stabilises the comparison of contrast and structure.
 const C2: f64 = 7.68 * 7.68;
 
-/// The similarity of `a` and `b`; `None` when they are smaller than the window.
+/// Returns the similarity of `a` and `b`; `None` if they are smaller than the window.
 pub(super) fn ms_ssim(a: &Light, b: &Light) -> Option<f64> {
     score(a.luminance(), b.luminance())
 }
 
-/// The similarity of a picture with itself, by its size.
+/// Returns the similarity of a picture of this size with itself: 1, or `None` if it is smaller than the window.
 pub(super) fn of_equals((width, height): (usize, usize)) -> Option<f64> {
     (width.min(height) >= WINDOW).then_some(1.0)
 }
@@ -45,7 +47,8 @@ fn score(mut a: Plane<f32>, mut b: Plane<f32>) -> Option<f64> {
     let exponents = &EXPONENTS[..scores.len()];
     let sum: f64 = exponents.iter().sum();
     let coarsest = scores.len().checked_sub(1)?;
-    // Contrast and structure at every scale, luminance at the coarsest. Negative means count as 0.
+    // The product has contrast and structure at every scale, and luminance only at the coarsest. Negative means count
+    // as 0.
     let parts = scores.iter().zip(exponents).enumerate().map(|(i, ([whole, contrast], exponent))| {
         let mean = if i == coarsest { whole } else { contrast };
         libm::pow(mean.max(0.0), exponent / sum)
@@ -53,7 +56,7 @@ fn score(mut a: Plane<f32>, mut b: Plane<f32>) -> Option<f64> {
     Some(parts.product())
 }
 
-/// Means of 2 x 2 pixels; a last odd row or column is ignored.
+/// Returns the means of blocks of 2 x 2 pixels; a last row or column without a partner is ignored.
 fn halved(plane: &Plane<f32>) -> Plane<f32> {
     Plane::from_rows(plane.width() / 2, plane.height() / 2, |y, row| {
         let (upper, lower) = (plane.row(2 * y), plane.row(2 * y + 1));
@@ -63,7 +66,7 @@ fn halved(plane: &Plane<f32>) -> Plane<f32> {
     })
 }
 
-/// Weights of the window along one side; they sum to 1.
+/// Returns the weights of the window along one side; they sum to 1.
 fn gaussian() -> [f64; WINDOW] {
     let weights: [f64; WINDOW] = std::array::from_fn(|i| {
         let d = i as f64 - (WINDOW / 2) as f64;
@@ -73,7 +76,8 @@ fn gaussian() -> [f64; WINDOW] {
     weights.map(|w| w / sum)
 }
 
-/// The means of l(x, y) c(x, y) s(x, y) and of c(x, y) s(x, y), over all positions where the window is within the picture.
+/// Returns the means of l(x, y) c(x, y) s(x, y) and of c(x, y) s(x, y) (luminance, contrast, structure), over all
+/// positions where the window is within the picture.
 fn similarity(a: &Plane<f32>, b: &Plane<f32>) -> [f64; 2] {
     let (width, height) = (a.width() + 1 - WINDOW, a.height() + 1 - WINDOW);
     let weights = gaussian();
@@ -95,7 +99,7 @@ fn similarity(a: &Plane<f32>, b: &Plane<f32>) -> [f64; 2] {
     sums.map(|s| s / (width * height) as f64)
 }
 
-/// One row of windows.
+/// The windows of one row, whose similarities are summed.
 struct Row<'a> {
     a: &'a Plane<f32>,
     b: &'a Plane<f32>,
@@ -156,7 +160,7 @@ mod tests {
         })
     }
 
-    /// Equations 13 and 6 of the 2004 paper as printed.
+    /// Computes [`similarity`] by equations 13 and 6 of the 2004 paper as printed.
     fn textbook(a: &Plane<f32>, b: &Plane<f32>) -> [f64; 2] {
         let w = gaussian();
         let (mut whole, mut contrast, mut n) = (0.0, 0.0, 0.0);
@@ -190,7 +194,8 @@ mod tests {
             (0..40).for_each(|x| row[x] = 0.9 * a.at(x, y) + noise(x * 31 + y) * 0.1)
         });
         let (found, expected) = (similarity(&a, &b), textbook(&a, &b));
-        // Variances are differences of numbers near 2e4, each within 1e-12 of itself: 1e-7 of C2 at most.
+        // Variances are differences of numbers near 2e4 with relative errors of 1e-12, so their errors are below 1e-7
+        // C2.
         for (f, e) in found.iter().zip(expected) {
             assert!((f - e).abs() < 1e-7, "{found:?} {expected:?}");
         }

@@ -14,7 +14,7 @@ fn refused<T>(option: &'static str, reason: String) -> Result<T> {
 /// Checks that the numbers of `criterion` are valid.
 ///
 /// # Errors
-/// [`Error::Option`] for the first that is not.
+/// [`Error::Option`] for the first number that is not valid.
 pub(super) fn validate(criterion: &Criterion) -> Result<()> {
     let check = |option, value: f64, most: f64, needed: &str| match (0.0..=most).contains(&value) {
         true => Ok(()),
@@ -39,10 +39,10 @@ pub(super) fn validate(criterion: &Criterion) -> Result<()> {
     }
 }
 
-/// The limits that `criterion` sets for a file of the kind of `input`.
+/// Returns the limits that `criterion` sets for a file of the kind of `input`.
 ///
 /// # Errors
-/// [`Error::Option`] for a tolerance for the other kind.
+/// [`Error::Option`] if the tolerance is for the other kind of file.
 pub(super) fn limits(criterion: &Criterion, input: &Input) -> Result<Limits> {
     let (tolerance, share) = match *criterion {
         Criterion::Psnr { least_db } => return Ok(Limits { min_psnr_db: Some(least_db), ..Limits::default() }),
@@ -72,7 +72,7 @@ pub(super) fn limits(criterion: &Criterion, input: &Input) -> Result<Limits> {
 pub(super) fn differing(magnitudes: &Magnitudes, limits: &Limits, a: &Input, b: &Input) -> Differing {
     let plane = &magnitudes.plane;
     let tolerance = limits.tolerance_stops.or(limits.tolerance_de).unwrap_or(0.0) as f32;
-    // Pixels beyond the tolerance, pixels that are unequal, the largest difference and its first position.
+    // Number of pixels beyond the tolerance, number of unequal pixels, largest difference, index of its first pixel.
     type Found = (usize, usize, f32, usize);
     let band = |rows: std::ops::Range<usize>| -> Found {
         let first = rows.start * plane.width();
@@ -112,7 +112,7 @@ pub(super) fn differing(magnitudes: &Magnitudes, limits: &Limits, a: &Input, b: 
     }
 }
 
-/// The outcome and its reason.
+/// Returns the outcome and its reason. `differing` and `measured` are `None` if the sizes differ.
 pub(super) fn decide(
     limits: &Limits,
     a: &Input,
@@ -145,7 +145,7 @@ pub(super) fn decide(
                 let outcome = if db < least { Outcome::Differs } else { Outcome::Same };
                 (outcome, format!("{name} is {db:.2} dB, at least {least} dB required"))
             }
-            // Differences outside of its range, as between black and a millionth of a cd/m2, have no PSNR.
+            // Differences outside of the range of PU21, such as between black and a millionth of a cd/m2, have no PSNR.
             None => {
                 let unequal = pixels_are(differing.unequal_pixels);
                 (Outcome::Differs, format!("{unequal} not equal, and {name} cannot measure the difference"))

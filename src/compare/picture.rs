@@ -2,9 +2,10 @@
 //!
 //! In: both files and the differences of their pixels. Out: a PNG. Cost: some tenths of a second.
 //!
-//! Pictures with more than 1200 pixels on a side are reduced by a whole number. A cell of the difference has the largest value of its pixels, so that single
-//! pixels stay visible. Small pictures are enlarged. Radiance is shown as v / (v + m), where m is the median of the expected map, for both files, so that a
-//! gain is visible. Where nothing differs, the middle panel shows the expected picture, dimmed.
+//! Pictures with more than 1200 pixels on a side are reduced by an integer factor. A pixel of the reduced difference
+//! shows the largest difference in its block, so that single pixels stay visible. Small pictures are enlarged. Radiance
+//! v is shown as v / (v + m) in both files, where m is the median of the expected map, so that a gain is visible. Where
+//! nothing differs, the middle panel shows the expected picture, dimmed.
 
 use super::input::{Input, Pixels};
 use super::radiance::percentile;
@@ -19,18 +20,23 @@ use crate::write::{self, Format, Metadata, Pending, Target, png};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// Largest side of a panel in pixels, and the side that small pictures are enlarged to.
+/// Largest side of a panel, in pixels.
 const MOST: usize = 1200;
+/// Side in pixels to which small pictures are enlarged at most.
 const LEAST: usize = 360;
-/// Margins around and between the panels, and above and below them.
+/// Margin to the left and right of the panels, in pixels.
 const MARGIN: usize = 20;
+/// Gap between two panels, in pixels.
 const GAP: usize = 10;
+/// Space above the panels for title and headings, in pixels.
 const ABOVE: usize = 76;
+/// Space below the panels for the legend, in pixels.
 const BELOW: usize = 104;
-/// Text sizes.
+/// Size of the title, in pixels.
 const TITLE: f64 = 22.0;
+/// Size of other text, in pixels.
 const TEXT: f64 = 16.0;
-/// Decades of the scale of the false colours.
+/// Number of decades that the scale of the false colours covers.
 const DECADES: f64 = 3.0;
 
 /// Colour of pixels that one of the files does not have, or that are NaN or infinite in only one of the files.
@@ -41,7 +47,7 @@ const WITHIN: [[f64; 3]; 2] = [[20.0, 40.0, 110.0], [90.0, 160.0, 235.0]];
 const BEYOND: [[f64; 3]; 5] =
     [[120.0, 20.0, 110.0], [215.0, 40.0, 60.0], [250.0, 140.0, 20.0], [250.0, 225.0, 60.0], [255.0; 3]];
 
-/// Text and marks on the picture.
+/// The text and marks of the difference picture.
 pub(super) struct Words<'a> {
     pub title: &'a str,
     pub limits: &'a Limits,
@@ -49,7 +55,7 @@ pub(super) struct Words<'a> {
     pub largest: Option<(usize, usize)>,
 }
 
-/// Checks that the picture can be written to `path`, before any work is done.
+/// Checks that the difference picture can be written to `path`, before any work is done.
 ///
 /// # Errors
 /// [`Error::UnknownExtension`], and those of the check of targets.
@@ -60,7 +66,7 @@ pub(super) fn check(path: &Path, inputs: &[PathBuf], overwrite: bool) -> Result<
     write::check_targets(&Target::of("--diff", &[path.to_owned()]), inputs, overwrite)
 }
 
-/// Writes the picture. Without magnitudes (when the sizes differ), pixels that only one file has are marked.
+/// Writes the difference picture. Without magnitudes (if the sizes differ), pixels that only one file has are marked.
 ///
 /// # Errors
 /// [`Error::Write`], [`Error::OutputExists`].
@@ -107,7 +113,7 @@ fn page(
 
     let (across, down) = fit.size(size);
     let width = (3 * across + 2 * GAP).max(3 * LEAST / 2) + 2 * MARGIN;
-    // Wide pages are viewed from farther away.
+    // A wide page is viewed reduced, so its text is larger.
     let zoom = (width as f64 / 1500.0).clamp(1.0, 2.2);
     let (above, below) = ((ABOVE as f64 * zoom) as usize, (BELOW as f64 * zoom) as usize);
     let height = above + down + below;
@@ -154,7 +160,7 @@ fn legend(drawing: &mut Drawing, y: f64, (room, zoom): (f64, f64), scale: Option
     let (bar, strips) = (room.min(640.0 * zoom), 128);
     for i in 0..strips {
         let width = bar / strips as f64;
-        // Slightly wider, so that the strips overlap.
+        // Strips are slightly wider than their distance, so that there are no gaps.
         let area = Area { x: left + i as f64 * width, y, width: width + 0.4, height: 18.0 * zoom };
         drawing.fill_area(area, scale.at(i as f64 / (strips - 1) as f64));
     }
@@ -209,7 +215,7 @@ impl Scale {
         let values = magnitudes.plane.as_slice();
         let most = values.iter().copied().filter(|v| v.is_finite()).fold(0.0, f32::max);
         let tolerance = limits.tolerance_stops.or(limits.tolerance_de).unwrap_or(0.0);
-        // The next 1, 2 or 5 times a power of ten.
+        // The scale ends at the next number that is 1, 2 or 5 times a power of ten.
         let wanted = f64::from(most).max(tolerance).max(1e-6);
         let decade = libm::exp10(libm::floor(libm::log10(wanted)));
         let top = [1.0, 2.0, 5.0, 10.0].map(|k| k * decade).into_iter().find(|top| *top >= wanted * 0.999_999);
@@ -224,7 +230,7 @@ impl Scale {
         }
     }
 
-    /// Position of a value: 0 at the start of the scale, 1 at its end.
+    /// Returns the position of a value: 0 at the start of the scale, 1 at its end.
     fn place(&self, value: f64) -> f64 {
         1.0 + libm::log10(value.max(1e-12) / self.top) / DECADES
     }
@@ -234,7 +240,7 @@ impl Scale {
     }
 
     fn at(&self, place: f64) -> Colour {
-        // Without a tolerance everything is beyond it.
+        // Without a tolerance, all differences have the colours beyond the tolerance.
         let border = if self.tolerance > 0.0 { self.place(self.tolerance).clamp(0.0, 1.0) } else { 0.0 };
         if place < border {
             Colour::between(&WITHIN, place / border)
@@ -259,7 +265,7 @@ fn ring(page: &mut Plane<[u8; 3]>, (x, y): (usize, usize), radius: f64, (from, t
     }
 }
 
-/// The radiance that is shown as middle grey; not used for pictures.
+/// Returns the radiance that is shown as middle grey: the median of green. It is not used for pictures.
 fn middle_of(input: &Input) -> f32 {
     let Pixels::Radiance(map, _) = &input.pixels else { return 1.0 };
     let pixels = map.pixels.as_slice();
@@ -267,7 +273,7 @@ fn middle_of(input: &Input) -> f32 {
     percentile(pixels.iter().step_by(step).map(|p| p[1]), 0.5).unwrap_or(1.0)
 }
 
-/// The mean of some pixels as shown; white when there are none.
+/// Returns the mean of the pixels in `columns` and `rows` as they are shown; white if the picture has none of these.
 fn mean(input: &Input, middle: f32, columns: Range<usize>, rows: Range<usize>) -> [u8; 3] {
     let (width, height) = input.size();
     let (columns, rows) = (columns.start..columns.end.min(width), rows.start..rows.end.min(height));
@@ -303,7 +309,7 @@ mod tests {
     fn the_scale_has_a_round_top_and_its_colours_grow_brighter() {
         let magnitudes = |most: f32| Magnitudes { plane: Plane::filled(3, 3, most), unit: Unit::Stops };
         let top = |most: f32| Scale::of(&magnitudes(most), &Limits::default()).top;
-        // Computed powers of ten are exact to about 1e-16.
+        // Computed powers of ten have relative errors of about 1e-16.
         for (most, expected) in [(0.02f32, 0.02), (0.021, 0.05), (0.9, 1.0), (3.0, 5.0), (700.0, 1000.0)] {
             assert!((top(most) / expected - 1.0).abs() < 1e-6, "{most}: {}", top(most));
         }

@@ -4,8 +4,8 @@
 //!
 //! The difference of a and b is log2(1 + |a - b| / max(min(a, b), f)). Above the floor f this is |log2(a / b)|. Below it the difference is relative to f, so
 //! that black and nearly black are close, and a bright pixel and black are far apart but not infinitely. f is the 0.1th percentile of the positive values
-//! of the expected map: what formats round away lies below it, picture content does not. Negative values are colours outside of the primaries, and are
-//! compared as they are.
+//! of the expected map: values that formats round to 0 are below it, picture content is not. Negative values are
+//! colours outside of the primaries, and are compared like others.
 //!
 //! NaN equals NaN, and an infinity equals itself. Their difference from anything else has no value in stops and exceeds every tolerance.
 
@@ -19,9 +19,9 @@ use crate::write::Metadata;
 
 /// Share of the positive values that are below the floor f, under which differences are relative to f.
 const DARK: f64 = 0.001;
-/// The luminance at this percentile ...
+/// Share of the pixels below the luminance that counts as [`BRIGHT_CD_M2`] if the map is not calibrated.
 const BRIGHT: f64 = 0.999;
-/// ... counts as this many cd/m2 when the map is not calibrated.
+/// Assumed luminance at the percentile [`BRIGHT`] of a map that is not calibrated, in cd/m2.
 const BRIGHT_CD_M2: f64 = 1000.0;
 /// Largest number of values for a percentile; larger maps are sampled at every n-th pixel.
 const SAMPLED: usize = 4_000_000;
@@ -53,7 +53,7 @@ pub(super) fn measure(a: &RadianceMap, b: &RadianceMap, about: &Metadata) -> Mea
     Measured::new(Magnitudes { plane, unit: Unit::Stops }, (&left, &right), Some(radiance), None)
 }
 
-/// `map` converted to the primaries of `like`; `None` when it already has them.
+/// Returns `map` converted to the primaries of `like`; `None` if it already has these.
 fn converted(map: &RadianceMap, like: &RadianceMap) -> Option<RadianceMap> {
     if map.primaries.is_close(&like.primaries, 1e-4) {
         return None;
@@ -66,14 +66,14 @@ fn converted(map: &RadianceMap, like: &RadianceMap) -> Option<RadianceMap> {
     Some(RadianceMap { pixels, primaries: like.primaries })
 }
 
-/// The floor of the module documentation; `None` when no value is positive.
+/// Returns the floor f of the module documentation; `None` if no value is positive.
 fn floor(map: &RadianceMap) -> Option<f32> {
     let pixels = map.pixels.as_slice();
     let step = pixels.len().div_ceil(SAMPLED / 3).max(1);
     percentile(pixels.iter().step_by(step).flatten().copied(), DARK)
 }
 
-/// The luminance at the percentile `BRIGHT`; 1 when none is positive.
+/// Returns the luminance at the percentile [`BRIGHT`]; 1 if no luminance is positive.
 fn bright(map: &RadianceMap, weights: [f32; 3]) -> f32 {
     let pixels = map.pixels.as_slice();
     let luminance = |p: &[f32; 3]| weights[0] * p[0] + weights[1] * p[1] + weights[2] * p[2];
@@ -81,7 +81,7 @@ fn bright(map: &RadianceMap, weights: [f32; 3]) -> f32 {
     percentile(pixels.iter().step_by(step).map(luminance), BRIGHT).unwrap_or(1.0)
 }
 
-/// The value below which `share` of the positive and finite ones of `values` lies; `None` when there are none.
+/// Returns the value below which `share` of the positive and finite `values` are; `None` if there are no such values.
 pub(super) fn percentile(values: impl Iterator<Item = f32>, share: f64) -> Option<f32> {
     let values: Vec<f32> = values.filter(|v| *v > 0.0 && v.is_finite()).collect();
     let last = values.len().checked_sub(1)?;
@@ -131,7 +131,7 @@ struct Tally {
     not_comparable: usize,
 }
 
-/// For each pixel the difference of its worst channel in stops, and the sums.
+/// Returns for each pixel the difference of its worst channel in stops, and the sums over all pixels.
 fn stops(a: &Plane<[f32; 3]>, b: &Plane<[f32; 3]>, floor: f32) -> (Plane<f32>, Tally) {
     let (plane, tallies) = by_bands((a.width(), a.height()), |tally: &mut Tally, at| {
         let (p, q) = (a.as_slice()[at], b.as_slice()[at]);
@@ -153,7 +153,7 @@ fn stops(a: &Plane<[f32; 3]>, b: &Plane<[f32; 3]>, floor: f32) -> (Plane<f32>, T
     (plane, total)
 }
 
-/// The stops from `a` to `b`, positive when `b` is larger; `None` when the difference has no value.
+/// Returns the difference from `a` to `b` in stops, positive if `b` is larger; `None` if it has no value in stops.
 fn difference(a: f32, b: f32, floor: f32) -> Option<f64> {
     if a == b || a.is_nan() && b.is_nan() {
         return Some(0.0);
@@ -181,7 +181,7 @@ mod tests {
 
     #[test]
     fn difference_in_stops_is_the_ratio_above_the_floor_and_finite_below() {
-        // Floats are within 6e-8 of what is meant, 9e-8 stops.
+        // The relative rounding error of an `f32`, 6e-8, is 9e-8 stops.
         assert!((difference(3.0, 12.0, 1.0).unwrap() - 2.0).abs() < 1e-6);
         assert!((difference(12.0, 3.0, 1.0).unwrap() + 2.0).abs() < 1e-6);
         assert_eq!(difference(0.0, 1.0, 1.0), Some(1.0));
@@ -200,7 +200,7 @@ mod tests {
         let gain = libm::exp2(-0.02) as f32;
         let found = measure(&ramp(1.0), &ramp(gain), &Metadata::default());
         let gain = found.radiance.unwrap();
-        // 0.1 % of the values are below the floor, where the difference is smaller.
+        // 0.1 % of the values are below the floor, where a gain gives a smaller difference.
         assert!((gain.mean_stops + 0.02).abs() < 2e-5 && (gain.rms_stops - 0.02).abs() < 2e-5, "{gain:?}");
         assert!(gain.channels.iter().all(|c| (c.max_stops - 0.02).abs() < 1e-5));
         assert!(found.magnitudes.plane.as_slice().iter().filter(|v| **v > 0.019).count() > 6300);
@@ -213,7 +213,7 @@ mod tests {
             let found = measure(&flat(1.0), &flat(other), &Metadata::default()).radiance.unwrap();
             assert!(found.channels.iter().all(|c| c.max_stops > 0.5), "{other}: {found:?}");
         }
-        // No value of the expected map is positive, so the floor is that of the other.
+        // No value of the expected map is positive, so the floor is that of the actual map.
         let found = measure(&flat(0.0), &flat(3.0), &Metadata::default()).radiance.unwrap();
         assert!((found.channels[0].max_stops - 1.0).abs() < 1e-6, "{found:?}");
     }

@@ -11,7 +11,7 @@ use jpeg_encoder::{ColorType as JpegColour, Encoder as Jpeg, SamplingFactor};
 use png::{BitDepth, ColorType, Compression, Encoder, EncodingError};
 use rayon::prelude::*;
 
-/// JPEG qualities that are tried for large pictures, the best first.
+/// JPEG qualities that are tried until the pictures are small enough, the best first.
 const QUALITIES: [u8; 6] = [86, 80, 74, 66, 58, 48];
 
 /// A picture that is embedded in a page.
@@ -25,11 +25,11 @@ pub struct Picture {
     pub height: usize,
 }
 
-/// A photograph to be encoded, with its ICC profile.
+/// A photograph that is to be encoded, with its ICC profile.
 pub struct Photograph {
-    /// Its pixels.
+    /// The pixels.
     pub pixels: Plane<[u8; 3]>,
-    /// Its profile; `None` for sRGB.
+    /// The ICC profile; `None` for sRGB.
     pub icc: Option<Vec<u8>>,
 }
 
@@ -44,8 +44,8 @@ pub fn grey_jpeg(grey: &Plane<u8>, quality: u8) -> Result<Picture, String> {
     encode((grey.width(), grey.height()), grey.as_slice(), JpegColour::Luma, quality, None)
 }
 
-/// Encodes `photographs` as JPEG, with the best quality at which they take at most `most` bytes of the page together,
-/// or the lowest quality.
+/// Encodes `photographs` as JPEG, with the best of [`QUALITIES`] at which they together take at most `most` bytes of
+/// the page, or the lowest if none is small enough.
 pub fn jpegs_within(most: usize, photographs: &[Photograph]) -> Result<Vec<Picture>, String> {
     let mut encoded = Vec::new();
     for quality in QUALITIES {
@@ -94,12 +94,12 @@ pub fn paletted(indices: &Plane<u8>, palette: &[[u8; 4]]) -> Result<Picture, Str
     Ok(picture("png", size, &file))
 }
 
-/// Encodes `plane` as a PNG file.
+/// Encodes `plane` as a PNG file in grey.
 pub fn png_grey(plane: &Plane<u8>) -> Result<Vec<u8>, String> {
     png((plane.width(), plane.height()), ColorType::Grayscale, BitDepth::Eight, plane.as_slice(), drawn)
 }
 
-/// Encodes `plane` as a PNG file.
+/// Encodes `plane` as a PNG file in colour.
 pub fn png_rgb(plane: &Plane<[u8; 3]>) -> Result<Vec<u8>, String> {
     png((plane.width(), plane.height()), ColorType::Rgb, BitDepth::Eight, plane.as_slice().as_flattened(), drawn)
 }
@@ -110,7 +110,8 @@ pub fn png_bits(size: (usize, usize), is_set: impl Fn(usize, usize) -> bool) -> 
     png(size, ColorType::Grayscale, BitDepth::One, &packed(rows, 1), drawn)
 }
 
-/// Packs rows of values of `bits` each, first value in the highest bits; every row starts with a new byte.
+/// Packs rows of values of `bits` bits each; the first value is in the highest bits of a byte, and every row starts
+/// with a new byte.
 fn packed<R: Iterator<Item = u8>>(rows: impl Iterator<Item = R>, bits: usize) -> Vec<u8> {
     let byte = |values: &[u8]| {
         values.iter().zip((0..8).step_by(bits)).fold(0, |byte, (value, from)| byte | value << (8 - bits - from))
@@ -118,7 +119,8 @@ fn packed<R: Iterator<Item = u8>>(rows: impl Iterator<Item = R>, bits: usize) ->
     rows.flat_map(|row| row.collect::<Vec<u8>>().chunks(8 / bits).map(byte).collect::<Vec<u8>>()).collect()
 }
 
-/// Drawings are compressed quickly, and name the program, so that they are not mistaken for photographs.
+/// Sets the options for drawings: fast compression, and the name of the program, so that `batch` does not take a
+/// drawing for a photograph.
 fn drawn(encoder: &mut Encoder<&mut Vec<u8>>) -> Result<(), EncodingError> {
     encoder.set_compression(Compression::Fast);
     encoder.add_text_chunk("Software".into(), concat!("hdralign ", env!("CARGO_PKG_VERSION")).into())
@@ -165,7 +167,7 @@ mod tests {
         image::load_from_memory(&STANDARD.decode(data).unwrap()).unwrap()
     }
 
-    /// Colours that change slowly, with some noise.
+    /// Returns colours that change slowly, with some noise.
     fn ramp((width, height): (usize, usize)) -> Plane<[u8; 3]> {
         Plane::from_rows(width, height, |y, row: &mut [[u8; 3]]| {
             row.iter_mut().enumerate().for_each(|(x, p)| {
@@ -180,10 +182,10 @@ mod tests {
         let ramp = ramp((41, 30));
         let encoded = jpeg(&ramp, 90, Some(b"a profile")).unwrap();
         assert_eq!((encoded.width, encoded.height), (41, 30));
-        // Not by `image`, whose decoder is wrong for chroma at half the resolution in small pictures of odd size.
+        // Not decoded by `image`, which is wrong for chroma at half the resolution in small pictures of odd size.
         let file = STANDARD.decode(encoded.address.split_once(";base64,").unwrap().1).unwrap();
         let back = jpeg_decoder::Decoder::new(&file[..]).decode().unwrap();
-        // JPEG at this quality, with chroma at half the resolution, is within some codes on a ramp.
+        // JPEG at this quality, with chroma at half the resolution, changes a ramp by some code values.
         let worst = back.iter().zip(ramp.as_slice().as_flattened()).map(|(a, b)| a.abs_diff(*b)).max();
         assert!(worst.unwrap() < 20, "{worst:?}");
         let grey = Plane::from_rows(9, 4, |_, row| row.iter_mut().enumerate().for_each(|(x, v)| *v = 20 * x as u8));

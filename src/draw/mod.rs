@@ -1,8 +1,8 @@
 //! Drawing: the layer that makes every picture of a report.
 //!
-//! In: marks, numbers, text and pixels. Out: SVG, HTML text, PNG and JPEG files in memory. [`svg`] is a page of
-//! marks, [`plot`] has axes and curves, [`text`] the widths and outlines of letters, [`scale`] reduces pictures,
-//! [`image`] encodes them, [`markup`] escapes text. [`inspect`](crate::inspect), [`page`](crate::page) and
+//! In: marks, numbers, text and pixels. Out: SVG, HTML text, PNG and JPEG files in memory. [`svg`] draws pages of
+//! marks, [`plot`] draws axes and curves, [`text`] measures and outlines letters, [`scale`] reduces pictures, [`image`]
+//! encodes pictures, and [`markup`] escapes text. [`inspect`](crate::inspect), [`page`](crate::page) and
 //! [`compare`](crate::compare) decide what is drawn.
 
 pub(crate) mod image;

@@ -5,20 +5,21 @@
 use super::svg::{Anchor, Area, Colour, Drawing, Path, Pen};
 use std::f64::consts::LOG2_10;
 
-/// Text sizes of ticks and axis names, in pixels.
+/// Text size of the labels of ticks, in pixels.
 const TICK: f64 = 15.0;
+/// Text size of the names of axes, in pixels.
 const NAME: f64 = 17.0;
 
-/// An axis.
+/// An axis of a plot.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Axis {
-    /// Value at its lower end.
+    /// Value at the lower end of the axis.
     pub from: f64,
-    /// Value at its upper end.
+    /// Value at the upper end of the axis.
     pub to: f64,
     /// Values of the ticks, with their labels.
     pub ticks: Vec<(f64, String)>,
-    /// Its name, with the unit.
+    /// Name of the axis, with the unit.
     pub name: String,
 }
 
@@ -30,7 +31,7 @@ impl Axis {
         Axis { from: first * step, to: last * step, ticks: ticks(step, first, last), name: name.to_owned() }
     }
 
-    /// Creates an axis exactly from `from` to `to`, with ticks at the round numbers between.
+    /// Creates an axis exactly from `from` to `to`, with about `count` ticks at the round numbers in between.
     pub fn within(from: f64, to: f64, count: usize, name: &str) -> Self {
         let step = round_step(from, to, count);
         Axis { from, to, ticks: ticks(step, (from / step).ceil(), (to / step).floor()), name: name.to_owned() }
@@ -41,7 +42,7 @@ impl Axis {
         Axis { from, to, ticks: at.map(|v| (v as f64, v.to_string())).to_vec(), name: name.to_owned() }
     }
 
-    /// Creates a logarithmic axis from `from` to `to`, both as log2, with ticks at the powers of ten between.
+    /// Creates a logarithmic axis from `from` to `to`, both as log2, with ticks at the powers of ten in between.
     pub fn decades(from: f64, to: f64, name: &str) -> Self {
         let word = |d: i64| match d {
             -3..=5 => format!("{}", libm::exp10(d as f64)),
@@ -51,21 +52,21 @@ impl Axis {
         Axis { from, to, ticks: powers.map(|d| (d as f64 * LOG2_10, word(d))).collect(), name: name.to_owned() }
     }
 
-    /// Position of a value: 0 at the lower end, 1 at the upper.
+    /// Returns the position of a value: 0 at the lower end of the axis, 1 at the upper end.
     fn share(&self, v: f64) -> f64 {
         (v - self.from) / (self.to - self.from).max(1e-9)
     }
 }
 
-/// Returns a round step of which about `count` are between the ends.
+/// Returns the smallest round step that divides the range `from..to` into at most `count` parts.
 fn round_step(from: f64, to: f64, count: usize) -> f64 {
     let rough = (to - from).max(1e-9) / count.max(1) as f64;
     let power = libm::exp10(libm::floor(libm::log10(rough)));
     [1.0, 2.0, 5.0, 10.0].into_iter().map(|m| m * power).find(|s| *s >= rough).unwrap_or(rough)
 }
 
-/// Returns the multiples of `step` from `first` to `last`, with as many decimals as the step needs, and with minus
-/// signs.
+/// Returns the multiples of `step` from `first * step` to `last * step`. Their labels have as many decimals as the step
+/// needs, and minus signs instead of hyphens.
 fn ticks(step: f64, first: f64, last: f64) -> Vec<(f64, String)> {
     let is_whole = |v: f64| (v - v.round()).abs() < 1e-6;
     let decimals = (0..6u8).find(|d| is_whole(step * libm::exp10(f64::from(*d)))).unwrap_or(6).into();
@@ -85,17 +86,17 @@ pub struct Plot {
 }
 
 impl Plot {
-    /// Returns the distance of `v` from the left of the page; outside of the area if it is not on the axis.
+    /// Returns the distance of the value `v` from the left of the page; outside of the area if `v` is not on the axis.
     pub fn x(&self, v: f64) -> f64 {
         self.area.x + self.x.share(v) * self.area.width
     }
 
-    /// Returns the distance of `v` from the top of the page.
+    /// Returns the distance of the value `v` from the top of the page.
     pub fn y(&self, v: f64) -> f64 {
         self.bottom() - self.y.share(v) * self.area.height
     }
 
-    /// Returns the lower edge of the area.
+    /// Returns the distance of the lower edge of the area from the top of the page.
     pub fn bottom(&self) -> f64 {
         self.area.y + self.area.height
     }

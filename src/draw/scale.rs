@@ -8,17 +8,17 @@
 use crate::plane::Plane;
 use std::ops::Range;
 
-/// Reduces a picture with `N` channels.
+/// A reduction of a picture with `N` channels.
 #[derive(Debug, Clone)]
 pub struct Reduced<const N: usize> {
     full: (usize, usize),
     size: (usize, usize),
-    /// For each column, its first cell and the part of the column in that cell, as a numerator over the number of
-    /// cells; the rest is in the next cell.
+    /// For each column of the picture, the first cell that it overlaps and the part of the column in that cell, as a
+    /// numerator over the number of cells; the rest of the column is in the next cell.
     columns: Vec<(usize, u32)>,
-    /// Number of rows received.
+    /// Number of rows that were received.
     rows: usize,
-    /// The last of these rows, by cells.
+    /// The row that was received last, summed over the columns of each cell.
     line: Vec<[u32; N]>,
     /// The row of cells that is being summed.
     sums: Vec<[u64; N]>,
@@ -51,7 +51,7 @@ pub fn within_pixels(full: (usize, usize), most: usize) -> (usize, usize) {
 pub struct Cells {
     /// Reduction factor: a block of `by` x `by` pixels becomes one pixel.
     pub by: usize,
-    /// Number of pixels along a side that one becomes.
+    /// Enlargement factor: a pixel becomes a block of `times` x `times` pixels.
     pub times: usize,
 }
 
@@ -86,8 +86,8 @@ impl Cells {
     }
 }
 
-/// Returns the cell in which part `i` of `full` begins, of `cells`, and how much of it is in that cell, as a
-/// numerator over `cells`.
+/// Divides `full` pixels in a line into `cells` cells of equal length. Returns the cell in which pixel `i` begins, and
+/// the part of the pixel in that cell, as a numerator over `cells`.
 fn share(i: usize, full: usize, cells: usize) -> (usize, usize) {
     let cell = i * cells / full;
     (cell, ((i + 1) * cells).min((cell + 1) * full) - i * cells)
@@ -144,7 +144,7 @@ impl<const N: usize> Reduced<N> {
 }
 
 /// Averages a plane over areas to fit into `most` pixels in both directions; a plane that fits is returned unchanged.
-/// Its sums are floats: exact halves are rounded in either direction, while [`reduce_to`] rounds them up.
+/// Sums are floats, so that exact halves are rounded in either direction, while [`reduce_to`] rounds them up.
 pub fn reduce(plane: &Plane<u8>, most: (usize, usize)) -> Plane<u8> {
     let (w, h) = (plane.width(), plane.height());
     let share = (most.0 as f64 / w as f64).min(most.1 as f64 / h as f64);
@@ -168,7 +168,8 @@ pub fn reduce(plane: &Plane<u8>, most: (usize, usize)) -> Plane<u8> {
     })
 }
 
-/// Returns the pixels of `n` that cell `i` of `step` pixels covers, and the fraction of each.
+/// Returns the indices of the pixels, of `n` in a line, that cell `i` with a length of `step` pixels covers, and the
+/// fraction of each that it covers.
 fn parts(i: usize, step: f64, n: usize) -> Vec<(usize, f64)> {
     let (from, to) = (i as f64 * step, (i + 1) as f64 * step);
     let last = (to.ceil() as usize).min(n);
@@ -197,7 +198,7 @@ mod tests {
                 reduced.push(part);
             }
             let small = reduced.finish();
-            // The textbook version: every pixel weighted by its area in the cell.
+            // The definition: the mean of all pixels, each weighted by its area in the cell.
             let overlap = |i: usize, full: usize, cell: usize, cells: usize| {
                 let (from, to) = (i as f64 / full as f64, (i + 1) as f64 / full as f64);
                 let (left, right) = (cell as f64 / cells as f64, (cell + 1) as f64 / cells as f64);
@@ -231,7 +232,8 @@ mod tests {
         let small = reduce(&plane, (11, 100));
         assert_eq!((small.width(), small.height()), (11, 7));
         let mean = |p: &Plane<u8>| p.as_slice().iter().map(|&v| f64::from(v)).sum::<f64>() / p.as_slice().len() as f64;
-        // Each value is rounded by at most a half, in either direction.
+        // Each value is rounded by at most a half in either direction, so the errors of the 77 values cancel in the
+        // mean.
         assert!((mean(&plane) - mean(&small)).abs() < 0.2);
         assert_eq!(reduce(&plane, (30, 20)), plane);
         // Linear pictures stay linear: the mean of a cell is the value at its centre, (x + 1/2) 30/11 - 1/2.

@@ -1,8 +1,9 @@
-//! Drawings: lines, circles, pictures and text as one self-contained SVG file, and the same as pixels.
+//! Drawings: pages of lines, circles, pictures and text, as one self-contained SVG file or as pixels.
 //!
-//! In: marks in pixels of the page, x to the right, y down. Out: SVG 1.1 without scripts or links, whose text is
-//! drawn by the viewer; pixels by resvg, with the outlines of [`text`] instead of text. Cost: some tens of bytes per
-//! mark; 0.1 us per drawn pixel. Source: SVG 1.1 (2nd ed., W3C 2011), chapters 8 (paths), 10 (text) and 5.7 (image).
+//! In: marks in pixels of the page, x to the right, y down. Out: SVG 1.1 without scripts or links, whose text the
+//! viewer draws; or pixels, which resvg draws, with the outlines of [`text`] instead of text. Cost: some tens of bytes
+//! per mark; 0.1 us per drawn pixel. Source: SVG 1.1 (2nd ed., W3C 2011), chapters 8 (paths), 10 (text) and 5.7
+//! (image).
 
 use super::image::{data_url, png_rgb};
 use super::markup::{escape, number};
@@ -11,7 +12,7 @@ use crate::plane::Plane;
 use resvg::{tiny_skia, usvg};
 use std::fmt::Write;
 
-/// Fonts that are at most as wide as that of [`text`], with which text is laid out.
+/// Fonts for the viewer, none of which is wider than the font of [`text`], by which the layout is computed.
 const FONTS: &str = "'DejaVu Sans Condensed', Arial, Helvetica, sans-serif";
 
 /// An sRGB colour.
@@ -21,11 +22,11 @@ pub struct Colour(pub u8, pub u8, pub u8);
 impl Colour {
     /// The background.
     pub const WHITE: Colour = Colour(255, 255, 255);
-    /// Letters and frames.
+    /// The colour of letters and frames.
     pub const INK: Colour = Colour(26, 26, 26);
-    /// Secondary words.
+    /// The colour of secondary text.
     pub const FAINT: Colour = Colour(110, 110, 110);
-    /// Grid lines.
+    /// The colour of grid lines.
     pub const GRID: Colour = Colour(224, 224, 224);
 
     /// Returns red, green and blue.
@@ -69,23 +70,23 @@ pub struct Pen {
     pub colour: Colour,
     /// Its width in pixels.
     pub width: f64,
-    /// 0 (invisible) to 1.
+    /// Opacity, from 0 (invisible) to 1.
     pub opacity: f64,
 }
 
-/// The part of a text that is at the given position.
+/// The point of a text that is at the given position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Anchor {
-    /// Its start.
+    /// The start of the text.
     Start,
-    /// Its middle.
+    /// The middle of the text.
     Middle,
-    /// Its end.
+    /// The end of the text.
     End,
 }
 
 impl Anchor {
-    /// Returns its name in SVG, and the fraction of the text before the position.
+    /// Returns the name of the anchor in SVG, and the fraction of the text before the position.
     fn terms(self) -> (&'static str, f64) {
         match self {
             Anchor::Start => ("start", 0.0),
@@ -227,7 +228,7 @@ impl Drawing {
         ));
     }
 
-    /// Limits what `draw` draws to `area`.
+    /// Calls `draw`, and clips the marks that it draws to `area`.
     pub fn clipped(&mut self, area: Area, draw: impl FnOnce(&mut Drawing)) {
         self.clips += 1;
         let (clip, sides) = (format!("clip{}", self.clips), attributes(area));
@@ -279,7 +280,7 @@ impl Drawing {
         let pixels = tiny_skia::Pixmap::new(size.width(), size.height());
         let mut pixels = pixels.ok_or_else(|| format!("a page of {} x {}", size.width(), size.height()))?;
         resvg::render(&tree, tiny_skia::Transform::identity(), &mut pixels.as_mut());
-        // The page is white and opaque everywhere, so nothing is premultiplied.
+        // The page is opaque everywhere, so premultiplied colours are the colours themselves.
         let rgb = pixels.data().chunks_exact(4).map(|p| [p[0], p[1], p[2]]).collect();
         Ok(Plane::from_vec(size.width() as usize, size.height() as usize, rgb))
     }

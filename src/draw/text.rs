@@ -12,7 +12,7 @@ use ttf_parser::{Face, OutlineBuilder};
 static FACE: LazyLock<Option<Face<'static>>> =
     LazyLock::new(|| Face::parse(include_bytes!("font/DejaVuSansCondensed.ttf"), 0).ok());
 
-/// Units of the font per text size.
+/// Units of the font per em, the size of the text.
 const EM: f64 = 2048.0;
 
 /// Returns the width of a letter in units of the font. A letter that is not in the font has the width of a box.
@@ -26,8 +26,8 @@ pub fn width(text: &str, size: f64) -> f64 {
     f64::from(units) * size / EM
 }
 
-/// Returns the outlines of `text` as SVG path data, and the pixels per unit at `size`: x to the right from its start,
-/// y down from its base line.
+/// Returns the outlines of `text` as SVG path data in units of the font, and the pixels per unit at `size`: x to the
+/// right from the start of the text, y down from its base line.
 pub(super) fn outlines(text: &str, size: f64) -> (String, f64) {
     let mut outline = Outline::default();
     for (face, c) in FACE.iter().flat_map(|face| text.chars().map(move |c| (face, c))) {
@@ -40,7 +40,7 @@ pub(super) fn outlines(text: &str, size: f64) -> (String, f64) {
 #[derive(Default)]
 struct Outline {
     path: String,
-    /// Left edge of the letter.
+    /// Left edge of the next letter, in units of the font.
     left: f32,
 }
 
@@ -48,7 +48,7 @@ impl Outline {
     fn put(&mut self, command: char, points: &[(f32, f32)]) {
         self.path.push(command);
         for (x, y) in points {
-            // A subtraction from 0, to avoid -0.
+            // A subtraction from 0 instead of a negation, because `-y` would print 0 as -0.
             let _ = write!(self.path, "{} {} ", self.left + x, 0.0 - y);
         }
     }
@@ -76,7 +76,7 @@ impl OutlineBuilder for Outline {
     }
 }
 
-/// Returns `text` in lines of at most `most` pixels, broken at spaces; longer words are shortened.
+/// Returns `text` in lines of at most `most` pixels, broken at spaces; words that are longer than a line are shortened.
 pub fn wrap(text: &str, size: f64, most: f64) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for word in text.split(' ') {

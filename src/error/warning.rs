@@ -5,7 +5,7 @@ use std::path::PathBuf;
 /// A warning about a result.
 ///
 /// The text ends with what to do, after the last semicolon; measured values are in parentheses or follow a colon. The
-/// HTML report relies on that.
+/// HTML report relies on this form.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Warning {
@@ -23,7 +23,7 @@ pub enum Warning {
     },
     /// A frame is too dark or too bright to be aligned; its transform is assumed from those of the other frames.
     #[error(
-        "{}: too {} to be aligned ({reason}): its transform is assumed from the other frames, within {error_px:.1} px, and it is merged only where they are {}; exclude it with --leave-out",
+        "{}: too {} to be aligned ({reason}): its transform is assumed from the other frames, within {error_px:.1} px, and it is merged only where the other frames are {}; exclude it with --leave-out",
         path.display(),
         if *is_dark { "dark" } else { "bright" },
         if *is_dark { "clipped" } else { "black" }
@@ -35,7 +35,7 @@ pub enum Warning {
         reason: String,
         /// Error that 19 of 20 such transforms do not exceed, in pixels.
         error_px: f64,
-        /// Whether it is darker than the reference.
+        /// Whether the frame is darker than the reference.
         is_dark: bool,
         /// Whether the camera did not move in all other frames.
         is_still: bool,
@@ -52,7 +52,7 @@ pub enum Warning {
         confidence: f64,
         /// Share of the picture that is displaced, 0..1.
         displaced_fraction: f64,
-        /// Median displacement of these parts, in pixels.
+        /// Median displacement of the displaced parts, in pixels.
         displaced_px: f64,
     },
     /// All frames together cover less than half of the reference.
@@ -67,15 +67,15 @@ pub enum Warning {
         path: PathBuf,
         /// The share of the reference in the largest rectangle covered by this frame, 0..1.
         overlap: f64,
-        /// The same for all frames together, 0..1.
+        /// The share of the reference in the largest rectangle covered by all frames together, 0..1.
         common: f64,
     },
     /// Two frames have the same pixels.
     #[error("{}: has the same pixels as {} and adds nothing; leave one of them out", path.display(), other.display())]
     SamePixels {
-        /// The later one by name.
+        /// The frame whose name is later.
         path: PathBuf,
-        /// The earlier one.
+        /// The frame whose name is earlier.
         other: PathBuf,
     },
     /// No frame has enough detail to be aligned; all are merged without alignment.
@@ -86,7 +86,7 @@ pub enum Warning {
     NothingToAlign {
         /// The reference.
         reference: PathBuf,
-        /// Why not.
+        /// Why the frames cannot be aligned.
         reason: String,
     },
     /// The exposures in the files contradict the pixels and were replaced by estimates.
@@ -125,7 +125,7 @@ pub enum Warning {
     },
     /// The exposure of a frame differs from the pixels by more than the largest correction.
     #[error(
-        "{}: by its pixels, the exposure is off by {wanted_stops:+.2} stops, but was only corrected by {used_stops:+.2}; give -e to set it",
+        "{}: by the pixels, the exposure is wrong by {wanted_stops:+.2} stops, but it was corrected by only {used_stops:+.2}; give -e to set it",
         path.display()
     )]
     ExposureBounded {
@@ -136,7 +136,7 @@ pub enum Warning {
         /// The correction used, in stops.
         used_stops: f64,
     },
-    /// A part of the exposure is missing in a file and was assumed to be equal in all.
+    /// A part of the exposure, such as the ISO, is missing in a file; the value of the other files was assumed.
     #[error("{}: {detail}", path.display())]
     ExposureIncomplete {
         /// The frame.
@@ -147,7 +147,7 @@ pub enum Warning {
     /// The response could not be recovered from the bracket; another curve is used.
     #[error("the camera's response could not be recovered ({reason}); {used} is used instead")]
     ResponseFallback {
-        /// Why.
+        /// Why the response could not be recovered.
         reason: String,
         /// The curve that is used.
         used: String,
@@ -159,7 +159,7 @@ pub enum Warning {
     ResponseBorrowed {
         /// `red`, `green` or `blue`.
         channel: &'static str,
-        /// Why.
+        /// Why the response of the channel could not be recovered.
         reason: String,
     },
     /// The camera tone-mapped the frames locally, so their values depend on more than the exposure.
@@ -173,19 +173,19 @@ pub enum Warning {
         paths: Vec<PathBuf>,
     },
     /// The response file is of another camera than the photographs, or does not fit them.
-    #[error("{}: {detail}; recover the response of the photographs with `hdralign response`, or do not give --response", path.display())]
+    #[error("{}: {detail}; recover the response of the photographs with `hdralign response`, or omit --response", path.display())]
     ResponseDoubtful {
         /// The response file.
         path: PathBuf,
-        /// Why it may not be valid.
+        /// Why the response may not be valid for the photographs.
         detail: String,
     },
     /// Brackets of one response are from different cameras.
     #[error("{}: was taken with {found}, other brackets with {kept}, and one curve is fitted to both; give brackets of one camera", path.display())]
     CamerasDiffer {
-        /// The reference of the bracket.
+        /// The reference frame of the bracket.
         path: PathBuf,
-        /// Its camera.
+        /// The camera of the bracket.
         found: String,
         /// The camera of the first bracket.
         kept: String,
@@ -195,7 +195,7 @@ pub enum Warning {
     BracketLeftOut {
         /// The first photograph of the bracket.
         path: PathBuf,
-        /// The error.
+        /// The message of the error.
         reason: String,
     },
     /// The colour profile of a frame differs from that of the reference, which is kept.
@@ -203,9 +203,9 @@ pub enum Warning {
     ProfilesDiffer {
         /// The frame.
         path: PathBuf,
-        /// Its profile.
+        /// The profile of the frame.
         found: String,
-        /// The reference's profile.
+        /// The profile of the reference.
         kept: String,
     },
     /// A part of a file could not be read; the pixels are not affected.
@@ -225,20 +225,20 @@ pub enum Warning {
     /// Colours were outside the requested colour space.
     #[error("{detail}")]
     OutOfGamut {
-        /// The number of pixels, and how they were changed.
+        /// The number of pixels outside the colour space, and how they were changed.
         detail: String,
     },
     /// The requested size of the picture is larger than that of the radiance.
     #[error("the picture has {longest_px} pixels on its longest side and is not enlarged to {asked_px}")]
     NotEnlarged {
-        /// Its longest side, in pixels.
+        /// Longest side of the picture, in pixels.
         longest_px: usize,
         /// The requested longest side, in pixels.
         asked_px: usize,
     },
     /// The mean colour of the picture is not that of a light source, so the white balance was not changed.
     #[error(
-        "--white-balance auto: the mean colour is not that of a light source, so the white balance is unchanged; give a temperature or a grey spot"
+        "--white-balance auto: the mean colour is not the colour of a light source, so the white balance is unchanged; give a temperature or a grey spot"
     )]
     NoWhite,
     /// Values were outside the range of the output format.
@@ -246,20 +246,20 @@ pub enum Warning {
     OutOfRange {
         /// The output.
         path: PathBuf,
-        /// The number of values, and how they were changed.
+        /// The number of values outside the range, and how they were changed.
         detail: String,
     },
 }
 
-/// The names of the files, separated by commas.
+/// Returns the paths separated by commas.
 fn named(paths: &[PathBuf]) -> String {
     paths.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ")
 }
 
-/// Displaced share of the picture from which a warning about low confidence mentions it.
+/// Smallest displaced share of the picture that a warning about low confidence mentions.
 const MENTIONED_FRACTION: f64 = 0.01;
 
-/// How much of the picture is displaced; nothing if it is not worth mentioning.
+/// Returns how much of the picture is displaced, as text; empty if it is less than [`MENTIONED_FRACTION`].
 fn displaced_words(fraction: f64, px: f64) -> String {
     if fraction < MENTIONED_FRACTION {
         return String::new();
@@ -268,7 +268,7 @@ fn displaced_words(fraction: f64, px: f64) -> String {
 }
 
 impl Warning {
-    /// Whether the result is degraded: a frame, an exposure or the response is in doubt.
+    /// Returns whether the result is degraded: a frame, an exposure or the response may be wrong.
     pub fn degrades(&self) -> bool {
         !matches!(
             self,

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::{fs, io};
 use strum::VariantArray;
 
-/// Files in memory.
+/// Paths and contents of files in memory.
 type Named = Vec<(PathBuf, Vec<u8>)>;
 
 const TEXT: &str = "tables.txt";
@@ -20,7 +20,8 @@ const JSON: &str = "tables.json";
 
 /// Checks that the inspection of `images` can be written into `folder`, before any work is done.
 ///
-/// The folder or its parent must exist, the photographs must have different names, and without `overwrite` no file may exist.
+/// The folder or its parent must exist, the photographs must have different names, and without `overwrite` none of the
+/// files may exist.
 ///
 /// # Errors
 /// [`Error::Option`] for two photographs with the same name, [`Error::Write`] if the folder cannot be used, [`Error::OutputExists`].
@@ -53,7 +54,7 @@ pub fn check(folder: &Path, images: &[PathBuf], overwrite: bool) -> Result<()> {
             write::check_targets(&Target::of("-d", &files), images, overwrite)
         }
         Err(e) if e.kind() == io::ErrorKind::NotFound => {
-            // The folder is created when the files are written; for now its parent is checked.
+            // The folder is created when the files are written; here only its parent is checked.
             write::check_targets(&Target::of("-d", &[folder.to_owned()]), images, true)
         }
         Err(e) => Err(write_error(folder, e)),
@@ -66,7 +67,8 @@ pub fn check(folder: &Path, images: &[PathBuf], overwrite: bool) -> Result<()> {
 /// # Errors
 /// [`Error::Write`]; [`Error::OutputExists`] if a target was created meanwhile and `overwrite` is off.
 pub fn write(inspection: &Inspection, folder: &Path, overwrite: bool) -> Result<Tables> {
-    // Declared first and so dropped last: the folder can be removed only after the temporary files in it.
+    // Declared before the files, and so dropped after them: the folder can be removed only after the temporary files in
+    // it.
     let made = NewFolder::create(folder)?;
     let mut files: Vec<CompleteFile> = Vec::new();
     for (i, frame) in inspection.bracket.frames().iter().enumerate() {

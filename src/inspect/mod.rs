@@ -56,7 +56,7 @@ struct Detected {
 pub struct Inspection<'a> {
     bracket: &'a Bracket,
     alignment: &'a Alignment,
-    /// The detector of its features is drawn.
+    /// The method of the alignment; features of its detector are drawn.
     mode: AlignMode,
     pyramids: Vec<GreyPyramid>,
     evidence: Vec<Evidence>,
@@ -84,14 +84,14 @@ pub enum SheetKind {
     Keypoints,
     /// Matches with the reference.
     Matches,
-    /// Difference of the bitmaps against rotation and shift.
+    /// Share of bitmap pixels that differ, plotted over rotation and shift.
     Xor,
     /// Edges of frame and reference in two colours, before and after alignment.
     Edges,
 }
 
 impl SheetKind {
-    /// Returns the extensions of the files it is written to.
+    /// Returns the extensions of the files to which a sheet of this kind is written.
     pub fn extensions(self) -> &'static [&'static str] {
         match self {
             SheetKind::Threshold | SheetKind::Exclusion => &["png"],
@@ -100,7 +100,7 @@ impl SheetKind {
     }
 }
 
-/// Collects the evidence for `alignment`, which was computed with `options` and produced `warnings`.
+/// Collects the data on which `alignment` is based; it was computed with `options` and produced `warnings`.
 ///
 /// # Errors
 /// [`Error::Scratch`](crate::error::Error::Scratch) if frames on disk cannot be read.
@@ -113,11 +113,11 @@ pub fn inspect<'a>(
     gathered(bracket, alignment, options, warnings, &grey_pyramid, &|_, _| true)
 }
 
-/// Like [`inspect`], with less memory and time: for drawings of at most half the size of large frames, and with features only
-/// of frames for which `wants_features` returns true, by the detector of `options` only.
+/// Like [`inspect`], with less memory and time. Large frames are drawn at half their size at most. Features are
+/// computed only for frames for which `wants_features` returns true, and only by the detector of `options`.
 ///
 /// # Errors
-/// Same as [`inspect`].
+/// Those of [`inspect`].
 pub fn inspect_part<'a>(
     bracket: &'a Bracket,
     alignment: &'a Alignment,
@@ -237,12 +237,13 @@ impl Inspection<'_> {
         &self.detected(i).features
     }
 
-    /// Returns the difference of the bitmaps of frame `i` and the reference, or `None` for the reference.
+    /// Returns the difference between the bitmaps of frame `i` and of the reference, or `None` for the reference.
     pub fn xor(&self, i: usize) -> Option<&XorCurves> {
         self.evidence[i].xor.as_ref()
     }
 
-    /// Returns the merged matches of frame `i` with the reference, or `None` for the reference.
+    /// Returns the matches of frame `i` with the reference, of photograph and bitmaps merged, or `None` for the
+    /// reference.
     pub fn matching(&self, i: usize) -> Option<&Matching> {
         self.detected(i).matchings.as_ref().map(|all| &all[FeatureKind::Merged as usize])
     }

@@ -27,7 +27,7 @@ pub struct Tables {
     pub height_px: usize,
     /// Width of the pyramid level used for bitmaps and features.
     pub level_width_px: usize,
-    /// Height of that level.
+    /// Height of the pyramid level used for bitmaps and features.
     pub level_height_px: usize,
     /// The frame that the others are aligned to.
     pub reference: String,
@@ -42,12 +42,12 @@ pub struct Tables {
     pub times: DetectorTimes,
 }
 
-/// Elapsed time of each detector for the keypoints of all frames and their matches, in seconds.
+/// Elapsed time in which each detector found the keypoints of all frames and their matches, in seconds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DetectorTimes {
-    /// SIFT.
+    /// Time of SIFT.
     pub sift_s: f64,
-    /// SURF.
+    /// Time of SURF.
     pub surf_s: f64,
 }
 
@@ -59,11 +59,11 @@ pub struct FrameTable {
     pub report: FrameReport,
     /// Exposure relative to the reference, in stops.
     pub relative_ev: f64,
-    /// Its bitmaps.
+    /// The bitmaps of the frame.
     pub mtb: BitmapTable,
-    /// Its SIFT keypoints, and the motion found from them.
+    /// The SIFT keypoints of the frame, and the motion found from them.
     pub features: FeatureTable,
-    /// Its SURF keypoints, and the motion found from them.
+    /// The SURF keypoints of the frame, and the motion found from them.
     pub surf: FeatureTable,
 }
 
@@ -83,24 +83,24 @@ pub struct BitmapTable {
 /// Difference of two bitmaps, as a fraction of the pixels that count in both.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct XorTable {
-    /// Before alignment.
+    /// Share before alignment.
     pub before_share: f64,
-    /// After alignment.
+    /// Share after alignment.
     pub after_share: f64,
-    /// At each rotation, in degrees, with the shift found.
+    /// Share at each rotation, in degrees, with the shift of the found motion.
     pub by_angle_deg: Samples,
-    /// At each shift to the right, in pixels, with the rotation found.
+    /// Share at each shift to the right, in pixels, with the rotation and downward shift of the found motion.
     pub by_dx_px: Samples,
-    /// At each shift downwards, in pixels, with the rotation found.
+    /// Share at each shift downwards, in pixels, with the rotation and rightward shift of the found motion.
     pub by_dy_px: Samples,
 }
 
-/// A curve.
+/// The samples of a curve.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Samples {
     /// Sampled values of the parameter.
     pub at: Vec<f64>,
-    /// Fraction of pixels that differs there.
+    /// Fraction of the pixels that differ, for each value in `at`.
     pub share: Vec<f64>,
 }
 
@@ -113,22 +113,22 @@ impl From<&Curve> for Samples {
 /// The three kinds of keypoints.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FeatureTable {
-    /// Of the photograph.
+    /// Keypoints of the photograph.
     pub plain: KindTable,
-    /// Of its median threshold bitmaps.
+    /// Keypoints of the median threshold bitmaps of the photograph.
     pub mtb: KindTable,
-    /// Both; points found twice are counted once.
+    /// Keypoints of photograph and bitmaps; a point found in both is counted once.
     pub merged: KindTable,
 }
 
 impl FeatureTable {
-    /// Returns the three kinds in their order.
+    /// Returns the three kinds in the order of the fields.
     pub(super) fn kinds(&self) -> [&KindTable; 3] {
         [&self.plain, &self.mtb, &self.merged]
     }
 }
 
-/// Keypoints of one kind; all but their number is null for the reference.
+/// Keypoints of one kind; for the reference, all values except `keypoints` are null.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct KindTable {
     /// Number of keypoints.
@@ -137,9 +137,10 @@ pub struct KindTable {
     pub matches: Option<usize>,
     /// Number of inliers of the robust estimator.
     pub inliers: Option<usize>,
-    /// Root mean square distance over the picture between their motion and the alignment; null without either.
+    /// Root mean square distance over the picture between the motion from these keypoints and the alignment; null if
+    /// one of the two is missing.
     pub off_px: Option<f64>,
-    /// Comparison of their motion with the alignment.
+    /// Comparison of the motion from these keypoints with the alignment.
     pub verdict: Option<MotionComparison>,
 }
 
@@ -147,20 +148,20 @@ pub struct KindTable {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum MotionComparison {
-    /// Same motion within `NEAR_PX`.
+    /// The motion is that of the alignment, within `NEAR_PX`.
     Agrees,
-    /// Another motion.
+    /// The motion differs from that of the alignment.
     Differs,
-    /// Too few inliers for a motion.
+    /// The keypoints have too few inliers for a motion.
     NoMotion,
     /// A motion was found, but the frame has no transform to compare it with.
     NoPlace,
 }
 
-/// Maximum root mean square distance of equal motions, in px per 1000 px of the picture diagonal: the precision of matches
-/// that are accurate to about one pixel of their pyramid level.
+/// Root mean square distance up to which motions count as equal, in px per 1000 px of the picture diagonal: the
+/// precision of matches that are accurate to about one pixel of their pyramid level.
 const NEAR_PX: f64 = 1.0;
-/// Minimum number of inliers of a motion; a homography always fits four matches.
+/// Smallest number of inliers of a motion; four are not evidence, because a homography always fits four matches.
 const LEAST_INLIERS: usize = 10;
 
 impl Tables {
@@ -205,7 +206,7 @@ impl Tables {
 
     /// Returns the tables as JSON with a final line feed.
     pub fn to_json(&self) -> String {
-        // Strings, numbers and lists of them cannot fail to serialise.
+        // The tables contain only strings, numbers and lists of them, so the conversion cannot fail.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }
 }

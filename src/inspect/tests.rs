@@ -10,7 +10,7 @@ use crate::plane::Plane;
 
 const SIZE: (usize, usize) = (420, 300);
 
-/// Three exposures of a scene; the second is the reference.
+/// Returns a bracket of three exposures of a scene with known motion; the second is the reference.
 fn bracket() -> Bracket {
     let scene = Scene::new(11);
     let frame = |name: &str, ev: f64, warp: Transform| {
@@ -103,12 +103,12 @@ fn every_sheet_is_well_formed_with_its_stated_size() {
                         let drawing = drawn(sheet);
                         let svg = drawing.to_svg();
                         resvg::usvg::roxmltree::Document::parse(&svg).unwrap();
-                        // Without the pictures, whose base64 may contain anything.
+                        // Lines of pictures are skipped, because their base64 may contain these letters.
                         let marks = svg.lines().filter(|l| !l.starts_with("<image"));
                         assert!(marks.clone().all(|l| !l.contains("NaN") && !l.contains("inf")), "{kind:?}");
                         let pixels = drawing.to_pixels().unwrap();
                         assert_eq!((pixels.width(), pixels.height()), (drawing.width(), drawing.height()));
-                        // Something is drawn: not all pixels are white.
+                        // Something is drawn: more than 5 % of the pixels are not white.
                         let marked = pixels.as_slice().iter().filter(|p| **p != [255; 3]).count();
                         assert!(marked * 20 > pixels.as_slice().len(), "{kind:?}");
                     }

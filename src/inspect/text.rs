@@ -9,8 +9,9 @@ use crate::align::{Model, Status};
 use crate::bracket::exposure::ExposureSource;
 use crate::draw::markup::file_name;
 
-/// Factor and offset of the warning about a wrong motion: the bitmaps differ by more than factor * before + offset after
-/// alignment. Low enough to detect a wrong motion, higher than the effect of rounding to whole pixels.
+/// Factor and offset of the warning about a wrong motion: it is given if the share of differing bitmap pixels after
+/// alignment is above factor * (share before) + offset. They are low enough to detect a wrong motion, and higher than
+/// the effect of rounding to whole pixels.
 const AGAINST: (f64, f64) = (1.5, 0.005);
 
 impl Tables {
@@ -45,7 +46,7 @@ impl Tables {
         for (i, (name, detected)) in detectors.into_iter().enumerate() {
             add(
                 &format!("Table {}. {name}: matches with the reference, and inliers among them", 3 + 2 * i),
-                "Matches are mutual and pass the ratio test. The alignment uses further methods.",
+                "Only mutual matches that pass the ratio test are counted. The alignment also uses other methods.",
                 &["EV", "plain", "inliers", "MTB", "inliers", "merged", "inliers"],
                 &|frame| match_row(frame, detected(frame)),
             );
@@ -67,7 +68,7 @@ impl Tables {
         );
         add(
             "Table 8. Median threshold bitmaps",
-            "XOR: of the pixels that count in both bitmaps, the percentage that differs, before and after alignment.",
+            "XOR: percentage of differing pixels among those that count in both bitmaps, before and after alignment.",
             &["percentile", "threshold", "excluded %", "XOR before %", "XOR after %"],
             &bitmap_row,
         );
@@ -88,7 +89,8 @@ impl Tables {
     }
 }
 
-/// Formats `rows` under `header`: first column left-aligned, others right-aligned, two spaces between.
+/// Formats `rows` under `header`: the first column is left-aligned, the others right-aligned, with two spaces between
+/// columns.
 fn columns(header: &[&str], rows: impl Iterator<Item = Vec<String>>) -> String {
     let mut all: Vec<Vec<String>> = vec![header.iter().map(|h| (*h).to_owned()).collect()];
     all.extend(rows);

@@ -1,19 +1,21 @@
 //! Filling: frames with assumed transforms fill what is clipped or black in all others.
 //!
 //! In: the mean of the frames with known transforms, and a row of all frames. Out: the radiance of the row. Cost: none
-//! if no transform is assumed, else that of the mean again.
+//! if no transform is assumed, else the cost of the mean again.
 //!
-//! With P the mean of the frames with known transforms, and A that of the darker (brighter) frames with assumed
-//! transforms, radiance is
+//! P is the mean of the frames with known transforms. A is the mean of the frames with assumed transforms: of those
+//! darker than the reference for clipped pixels, of those brighter for black pixels. The radiance of clipped and of
+//! black pixels is
 //!
 //! ```text
-//! E = (1 - a) P + a max(A, L)        (1 - b) P + b min(A, U)
+//! clipped: E = (1 - a) P + a max(A, L)        black: E = (1 - b) P + b min(A, U)
 //! ```
 //!
-//! - a rises from 0 to 1 over the code values at which the shortest known frame begins to clip, b as the longest falls
-//!   to black: an assumed frame, which may be displaced, is not used where a known frame shows something.
-//! - L is the smallest radiance that the clipped frames allow, U the largest that the black ones allow. At the edge of
-//!   a lamp, where a displaced frame may show the dark wall, E is never below L.
+//! - a rises from 0 to 1 over the code values at which the shortest known frame begins to clip, b over those at which
+//!   the longest known frame falls to black: an assumed frame, which may be displaced, is not used where a known frame
+//!   shows something.
+//! - L is the smallest radiance that the shortest known frame allows, U the largest that the longest allows. At the
+//!   edge of a lamp, where a displaced frame may show the dark wall, E is never below L.
 
 use super::layer::{CLIPS, COLUMNS, Fill, LIFT, Layer, Meaning, PAINTED, Taken, Tile};
 use super::mean::{Channels, Means};
@@ -22,19 +24,20 @@ use crate::simd::{Loops, at_least, at_most};
 /// Buffers that are reused from row to row.
 pub(super) struct Filling {
     means: Means,
-    /// The mean of the frames that fill, and its bound.
+    /// A: the mean of the frames that fill.
     filled: Channels,
+    /// L or U of each pixel.
     bound: Channels,
     /// a or b of each pixel, 0..=1.
     part: [f32; COLUMNS],
     meanings: [Meaning; COLUMNS],
 }
 
-/// Fills row `y` of a tile. `known` and `radiance` have the mean over the frames with known transforms.
+/// Fills row `y` of a tile. Before, `known` and `radiance` are the mean over the frames with known transforms.
 pub(super) struct FilledRow<'a, 'b> {
     pub layers: &'a [Layer<'b>],
     pub tiles: &'a [Tile],
-    /// As in [`MergedRow`](super::rows::MergedRow).
+    /// For each frame the share and the factor of each pixel.
     pub taken: &'a [Taken<'a>],
     pub y: usize,
     pub fill: Fill,
@@ -49,7 +52,7 @@ impl Filling {
         Filling { means: Means::new(), filled: none, bound: none, part: [0.0; COLUMNS], meanings: [[0.0; 4]; COLUMNS] }
     }
 
-    /// a or b of each pixel of the last row, 0..=1.
+    /// Returns a or b of each pixel of the last row, 0..=1.
     pub fn part(&self) -> &[f32; COLUMNS] {
         &self.part
     }
@@ -62,7 +65,8 @@ impl Loops for FilledRow<'_, '_> {
     fn run(self) {
         let FilledRow { layers, tiles, taken, y, fill, filling, known, radiance } = self;
         let Filling { means, filled, bound, part, meanings } = filling;
-        // The known frame at the end of the range at each pixel: the first that is used, or the last.
+        // a or b of each pixel: from the shortest known frame used there if clipped pixels are filled, from the longest
+        // if black.
         let mut end = [0.0f32; COLUMNS];
         let mut is_seen = [0u32; COLUMNS];
         let known_ones = layers.iter().zip(tiles).zip(taken).filter(|((layer, _), _)| layer.fill.is_none());
@@ -78,7 +82,7 @@ impl Loops for FilledRow<'_, '_> {
                 is_seen[x] |= u32::from(is_used);
                 let top = at_least(at_least(red[x], green[x]), blue[x]);
                 let (begins, sure) = (CLIPS.0 as f32, CLIPS.1 as f32);
-                // Mirrored for black.
+                // For black pixels, code values above black are mirrored, so that the limits of clipping apply.
                 let reaches = match fill {
                     Fill::Clipped => top,
                     Fill::Black => 255.0 - (top - layer.black),
@@ -130,12 +134,12 @@ mod tests {
 
     const SIZE: (usize, usize) = (300, 3);
 
-    /// Radiance over thirty stops from left to right.
+    /// Returns a radiance that rises by thirty stops from left to right.
     fn ramp(x: usize) -> [f64; 3] {
         [libm::exp2((x as f64 - 200.0) / 10.0); 3]
     }
 
-    /// A still bracket, the reference in the middle.
+    /// Returns a still bracket of five frames, four stops apart; the reference is the middle one.
     fn bracket(scene: impl Fn(usize, usize) -> [f64; 3] + Sync) -> (Bracket, Alignment) {
         still(SIZE, &[1.0 / 256.0, 1.0 / 16.0, 1.0, 16.0, 256.0], scene)
     }
@@ -146,7 +150,7 @@ mod tests {
         (map.pixels.into_vec(), merged)
     }
 
-    /// The alignment in which frames 0 and 4 have this status.
+    /// Returns the alignment, with `status` for frames 0 and 4.
     fn with(alignment: &Alignment, status: Status) -> Alignment {
         let mut alignment = alignment.clone();
         for i in [0, 4] {
@@ -169,13 +173,15 @@ mod tests {
         let unit = f64::from(curve.exposure(0, 255.0));
         for x in 0..SIZE.0 {
             let truth = ramp(x)[1] * unit;
-            // The shortest of the known has code 230 at 80 % of its top, the longest has code 25 at 1 % of it.
+            // Frames 1 and 3 suffice while frame 1 (exposure 1/16) is below code value 230, where a begins, and frame 3
+            // (exposure 16) above 25, where b begins; 228 and 27 leave a margin for rounding.
             let is_held = ramp(x)[1] < 16.0 * f64::from(curve.exposure(0, 228.0)) / unit
                 && ramp(x)[1] * 16.0 > f64::from(curve.exposure(0, 27.0)) / unit;
             if is_held {
                 assert_eq!(filled[x], without[x], "{x}");
             }
-            // The five frames together cover the radiances from 2^-8 to 2^8 times the middle one.
+            // Ranges that only the assumed frames show: frame 1 clips above 16, and frame 0 at 256; below 5e-4 frame 3
+            // has code values below 23, and at 4e-5 frame 4 still has code value 26.
             if (16.5..240.0).contains(&ramp(x)[1]) || (4.0e-5..5.0e-4).contains(&ramp(x)[1]) {
                 let found = f64::from(filled[x][1]) / truth;
                 assert!((found - 1.0).abs() < 0.06, "{x}: {found}, {} with all", f64::from(all[x][1]) / truth);
@@ -187,7 +193,7 @@ mod tests {
 
     #[test]
     fn displaced_frame_does_not_reduce_known_confidence() {
-        // A lamp, and a frame in which it is ten pixels to the right.
+        // A lamp, which frame 0 shows ten pixels to the right.
         let lamp = |at: usize, x: usize| if x.abs_diff(at) <= 20 { [200.0; 3] } else { [0.02; 3] };
         let (bracket, mut alignment) = bracket(|x, _| lamp(150, x));
         let (without, _) = merged(&bracket, &with(&alignment, Status::Rejected));
@@ -196,12 +202,14 @@ mod tests {
         for x in 10..SIZE.0 - 10 {
             let (old, new) = (without[x][1], filled[x][1]);
             if lamp(150, x)[1] < 1.0 {
-                // Beside the lamp the displaced frame shows it.
+                // To the right of the lamp frame 0 shows the lamp, but is not used, because the known frames are not
+                // clipped.
                 assert_eq!(old, new, "{x}");
             } else if x.abs_diff(150) <= 6 {
                 assert!(new > 10.0 * old, "{x}: {new} {old}");
             } else {
-                // Six codes below the top: within the bound of the clipped frames.
+                // Near the edge of the lamp frame 0 may show the wall: L is the radiance of six code values below
+                // white.
                 assert!(new > 0.9 * old, "{x}: {new} {old}");
             }
         }

@@ -14,34 +14,37 @@ use crate::response::{CODES, ResponseCurve};
 use crate::simd::{Loops, at_least, at_most, floor32, integer32, vectorised};
 use std::ops::Range;
 
-/// Largest size of a tile. The tiles of all frames fit into the L2 cache.
+/// Largest width of a tile in pixels. The tiles of all frames fit into the L2 cache.
 pub(super) const COLUMNS: usize = 128;
+/// Largest height of a tile in pixels.
 pub(super) const ROWS: usize = 32;
-/// Stride of a tile with a margin of one pixel, and its largest number of rows.
+/// Distance of two rows in the planes of a tile, with a margin of one pixel on either side and padding.
 const LINE: usize = COLUMNS + 8;
+/// Largest number of rows of a tile, with a margin of one pixel.
 const LINES: usize = ROWS + 2;
 
-/// Code values by which noise and JPEG may brighten a pixel. The lower bound of the radiance is that of a code value
-/// this much lower.
+/// Number of code values by which noise and JPEG may brighten a pixel. The lower bound of the radiance is the radiance
+/// of the code value minus this.
 pub(super) const LIFT: usize = 6;
-/// Code values whose radiance clips a frame: if a shorter frame shows more than that of the second, the frame is
-/// clipped; below that of the first it is not.
+/// Code values between which a frame begins to clip: it is clipped if a shorter frame shows more radiance than the
+/// second code value stands for, and not clipped if less than the first.
 pub(super) const CLIPS: (usize, usize) = (230, 250);
-/// Range of code values below white over which the weight of a frame falls with its brightest channel, and the factor
-/// that it falls to. A frame with one clipped channel still contributes to the others if every frame without clipping
-/// is darker by some stops.
+/// For v: number of code values below white over which the weight of a frame falls as its brightest channel rises, and
+/// the factor at white. The factor is not 0, so that a frame with one clipped channel still contributes to the other
+/// channels if every frame without clipping is darker by some stops.
 const GUARD: (f32, f32) = (16.0, 0.25);
 
-/// Code value from which on a pixel counts as clipped, and the factor on the weight of its eight neighbours, which JPEG
-/// ringing, sharpening and resampling change. On rendered brackets 0.5 gains 0.1 to 0.6 dB if frames moved, and loses
-/// 0.05 dB if none did.
+/// Code value from which on a pixel counts as clipped.
 const TOP: f32 = 253.0;
+/// Factor on the weight of the eight neighbours of a clipped pixel, which JPEG ringing, sharpening and resampling
+/// change. On rendered brackets 0.5 gains 0.1 to 0.6 dB if frames moved, and loses 0.05 dB if none did.
 const RINGING: f32 = 0.5;
 
-/// Limits that keep sums finite: the largest radiance relative to the middle code value of the reference frame (the
-/// smallest is its inverse), 80 stops; and the largest weight relative to the middle code value of the longest
-/// exposure, 40 stops. Real exposures and responses are well within both.
+/// Largest radiance, relative to the middle code value of the reference frame: 80 stops. The smallest is its inverse.
+/// Real exposures and responses are well within this limit, which keeps sums finite.
 const MOST_RADIANCE: f64 = 1e24;
+/// Largest weight, relative to the middle code value of the longest exposure: 40 stops. Real exposures and responses
+/// are well within this limit, which keeps sums finite.
 const MOST_WEIGHT: f32 = 1e11;
 
 /// Radiance, weight and lower bound of each code value of a channel of one frame.
@@ -54,10 +57,10 @@ struct Table {
     bound: [f32; CODES],
 }
 
-/// X / dt, w and the lower bound of the radiance of a code value; the fourth is padding.
+/// X / dt, w and the lower bound of the radiance of a code value; the fourth value is padding.
 pub(super) type Meaning = [f32; 4];
 
-/// The meaning of a code value, and the slope to the next.
+/// The [`Meaning`] of a code value, and its slope to the next code value.
 #[derive(Clone, Copy)]
 struct Entry {
     at: Meaning,
@@ -79,13 +82,13 @@ impl Table {
 
 /// The code values of one frame in a tile, and a mask of the pixels near clipped ones.
 pub(super) struct Tile {
-    /// Resampled pixels, with a margin of one pixel where the frame has it.
+    /// Resampled pixels, with a margin of one pixel where the frame has pixels there.
     codes: Vec<[f32; 3]>,
-    /// One plane for each channel; the first pixel of the tile is at column and row 1.
+    /// Code values of each channel; the first pixel of the tile is at column and row 1.
     planes: [Vec<f32>; 3],
-    /// [`CLIPPED`] where a channel is at white or nearly, and [`PAINTED`].
+    /// Marks of each pixel, [`CLIPPED`] and [`PAINTED`]; the first pixel of the tile is at column and row 1.
     clipped: Vec<u8>,
-    /// The same for a pixel or one of its eight neighbours; the first pixel of the tile is at column and row 0.
+    /// Marks of each pixel and of its eight neighbours, combined; the first pixel of the tile is at column and row 0.
     beside: Vec<u8>,
 }
 
@@ -94,11 +97,11 @@ pub(super) struct Tile {
 pub(super) struct Row<'a> {
     /// R, G and B, 0..=255; negative outside the frame.
     pub codes: [&'a [f32; COLUMNS]; 3],
-    /// Marks of the pixel and its neighbours: [`CLIPPED`], [`PAINTED`].
+    /// Marks of the pixel and of its neighbours, combined: [`CLIPPED`], [`PAINTED`].
     pub beside: &'a [u8; COLUMNS],
 }
 
-/// Mark of a pixel with a channel at white.
+/// Mark of a pixel with a channel at [`TOP`] or above.
 pub(super) const CLIPPED: u8 = 1;
 /// Mark of a pixel with some channels at white and the others at 0, in a frame other than the reference: no scene is
 /// like that, but the borders of registered scans are. Such a pixel has no weight, and gives no lower bound of the
@@ -115,7 +118,8 @@ impl Tile {
         }
     }
 
-    /// Reads `columns` and `rows` of the reference from `window` of `layer`, at most one tile.
+    /// Reads from `window` of `layer` the pixels at `columns` and `rows` of the reference frame, which are at most one
+    /// tile.
     pub fn read(&mut self, layer: &Layer, window: &Window, columns: Range<usize>, rows: Range<usize>) {
         let (c, r) = (wide(&columns, window.width()), wide(&rows, window.height()));
         let size = (c.len(), r.len());
@@ -127,7 +131,7 @@ impl Tile {
         vectorised(Beside { rows: rows.len(), clipped: &self.clipped, beside: &mut self.beside });
     }
 
-    /// Row `y`, or `None` after the last.
+    /// Returns row `y` of the tile, or `None` after the last row.
     #[inline(always)]
     pub fn row(&self, y: usize) -> Option<Row<'_>> {
         let plane = |c: usize| self.planes[c].get((y + 1) * LINE + 1..)?.first_chunk();
@@ -137,11 +141,11 @@ impl Tile {
 
 /// Splits the channels of a tile and marks clipped pixels.
 struct Apart<'a> {
-    /// Columns and rows of `codes`.
+    /// Number of columns and of rows of `codes`.
     size: (usize, usize),
-    /// Position of the first of them.
+    /// Column and row in `planes` of the first pixel of `codes`.
     at: (usize, usize),
-    /// The mark of painted pixels.
+    /// The mark for painted pixels: [`PAINTED`], or 0 in the reference frame.
     painted: u8,
     codes: &'a [[f32; 3]],
     planes: &'a mut [Vec<f32>; 3],
@@ -154,7 +158,7 @@ impl Loops for Apart<'_> {
     #[inline(always)]
     fn run(self) {
         let (width, _) = self.size;
-        // Nothing is clipped outside the picture.
+        // Pixels outside the frame are not clipped.
         self.clipped.fill(0);
         let [red, green, blue] = self.planes;
         for (y, codes) in self.codes.chunks_exact(width).enumerate() {
@@ -177,7 +181,7 @@ impl Loops for Apart<'_> {
     }
 }
 
-/// Marks the neighbours of clipped pixels.
+/// Marks the clipped and painted pixels and their neighbours.
 struct Beside<'a> {
     rows: usize,
     clipped: &'a [u8],
@@ -214,20 +218,21 @@ pub(super) struct Layer<'a> {
     frame: &'a Frame,
     warp: Transform,
     is_reference: bool,
-    /// For each channel and code value.
+    /// For each channel the meaning of each code value.
     entries: [Vec<Entry>; 3],
-    /// Last code value from which is interpolated: 254, or 255 if all code values are integers.
+    /// Largest code value from which the next one is approached by interpolation: 254, or 255 if all code values are
+    /// integers.
     last: f32,
     /// The weight of the middle code value.
     pub middle_weight: f32,
-    /// What it fills if its transform is assumed; `None` if it is known.
+    /// What the frame fills if its transform is assumed; `None` if the transform is known.
     pub fill: Option<Fill>,
-    /// The code value up to which it is black, in any channel.
+    /// The code value up to which the frame is black, the largest of all channels.
     pub black: f32,
-    /// Whether all channels have the smallest weight of the three.
+    /// Whether each channel of a pixel gets the smallest weight of the three channels.
     pub is_joint: bool,
-    /// For each channel the radiance from which on the frame is clipped, and the inverse of the range over which
-    /// clipping begins.
+    /// For each channel the radiance from which on the frame is clipped, and the inverse of the range of radiance below
+    /// it over which clipping begins: both from [`CLIPS`].
     pub clips: [(f32, f32); 3],
     /// v of pixels whose brightest channel is at white.
     pub guard: f32,
@@ -235,13 +240,13 @@ pub(super) struct Layer<'a> {
     pub ringing: f32,
 }
 
-/// `range`, extended by one on either side within 0..`most`.
+/// Returns `range`, extended by one on either side within 0..`most`.
 fn wide(range: &Range<usize>, most: usize) -> Range<usize> {
     range.start.saturating_sub(1)..(range.end + 1).min(most)
 }
 
 impl Layer<'_> {
-    /// The rows of the frame that `columns` and `rows` of the reference need.
+    /// Returns the rows of the frame that `columns` and `rows` of the reference frame need.
     ///
     /// # Errors
     /// [`Error::Scratch`](crate::error::Error::Scratch) if the frame is on disk and cannot be read.
@@ -250,10 +255,12 @@ impl Layer<'_> {
         self.frame.window(rows_under(&self.warp, size, &wide(columns, size.0), &wide(rows, size.1)))
     }
 
-    /// Changes the weights for a locally processed bracket: the same for every frame, because a phone amplifies the
-    /// noise of what it brightens, and the same for all channels, because they were changed together.
+    /// Changes the weights for a locally processed bracket: every frame has the same weights, because a phone amplifies
+    /// the noise of what it brightens, and all channels of a pixel have the same weight, because the phone changed them
+    /// together.
     ///
-    /// On 7 rendered brackets of phones the first gains 0.7 dB (PU21-PSNR of details), the second up to 2.6.
+    /// On 7 rendered brackets of phones, equal weights of the frames gain 0.7 dB (PU21-PSNR of details), and equal
+    /// weights of the channels up to 2.6 dB.
     pub fn weigh_as_local(&mut self) {
         let middle_weight = at_least(self.middle_weight, f32::MIN_POSITIVE);
         for entry in self.entries.iter_mut().flatten() {
@@ -262,14 +269,15 @@ impl Layer<'_> {
         (self.middle_weight, self.is_joint) = (1.0, true);
     }
 
-    /// v of pixels whose brightest channel has the code value `top`.
+    /// Returns v of pixels whose brightest channel has the code value `top`.
     #[inline(always)]
     pub fn guard(&self, top: f32) -> f32 {
         let v = (255.0 - floor32(top)) * (1.0 / GUARD.0);
         at_most(at_least(v, self.guard), 1.0)
     }
 
-    /// Writes the meanings of `codes` to `meanings`, interpolated between code values, except for the lower bound.
+    /// Writes the meanings of `codes` to `meanings`: radiance and weight are interpolated between code values, the
+    /// lower bound is not.
     #[inline(always)]
     pub fn look_up(&self, channel: usize, codes: &[f32; COLUMNS], meanings: &mut [Meaning; COLUMNS]) {
         let (mut below, mut part) = ([0u8; COLUMNS], [0.0f32; COLUMNS]);
@@ -290,7 +298,7 @@ impl Layer<'_> {
     }
 }
 
-/// The merged frames, by rising exposure. The middle code value of the longest exposure has weight 1.
+/// Returns the merged frames, by rising exposure. The middle code value of the longest exposure has weight 1.
 pub(super) fn layers<'a>(
     bracket: &'a Bracket,
     alignment: &'a Alignment,
@@ -320,8 +328,8 @@ pub(super) fn layers<'a>(
     Ok(placed.map(layer).collect())
 }
 
-/// The layer of `frame`, whose exposure is `time` times that of the reference. Weights are divided by `most`, the largest
-/// weight.
+/// Returns the layer of `frame`, whose exposure is `time` times that of the reference. Weights are divided by `most`,
+/// the weight of the middle code value of the longest exposure.
 fn layer<'a>(
     frame: &'a Frame,
     warp: Transform,
@@ -346,7 +354,7 @@ fn layer<'a>(
         Weight::Uniform => (f32::MAX, 1.0),
         _ => {
             let (begins, sure) = (table.radiance[CLIPS.0], table.radiance[CLIPS.1]);
-            // A response may be flat between the two, and 0 times infinity is not a number.
+            // A response may be flat between the two code values, and 0 times infinity is not a number.
             (sure, 1.0 / at_least(sure - begins, f32::MIN_POSITIVE))
         }
     };
@@ -367,12 +375,12 @@ fn layer<'a>(
     }
 }
 
-/// Weights and factors of a row of a frame.
+/// Shares and factors of a row of a frame, for each pixel.
 #[derive(Clone, Copy)]
 pub(super) struct Taken<'a> {
-    /// Share to which each pixel is used, 0..=1; 1 beyond the end.
+    /// Share to which each pixel is used, 0..=1; 1 for pixels beyond the end of the slice.
     pub kept: &'a [f32],
-    /// Factor on the radiance of each pixel; 1 beyond the end.
+    /// Factor on the radiance of each pixel; 1 for pixels beyond the end of the slice.
     pub gain: &'a [f32],
 }
 

@@ -1,4 +1,4 @@
-//! The weighted mean over the frames of the pixels of a row.
+//! The weighted mean over the frames, for the pixels of a row.
 //!
 //! In: the row of each frame, by rising exposure. Out: radiance, and the number of pixels that are clipped or black in
 //! every frame. Cost: two dozen multiplications per pixel, channel and frame, eight pixels at a time. The equation and
@@ -8,16 +8,18 @@ use super::FLOOR;
 use super::layer::{CLIPPED, COLUMNS, Fill, Layer, Meaning, PAINTED, Row, Taken, Tile};
 use crate::simd::{at_least, at_most};
 
-/// e: the extra weight of the shortest and the longest exposure, relative to the frame's middle weight: the hat weight
-/// of one code value. If it were smaller, a second frame that noise lifts from black by one code value would outweigh
-/// the longest; if it were larger, clipped code values would contribute.
+/// Largest e, the extra weight of the shortest and of the longest exposure, relative to the weight of the frame's
+/// middle code value: the hat weight of code value 1. If it were smaller, a second frame that noise lifts from black by
+/// one code value would outweigh the longest exposure; if it were larger, clipped code values would contribute.
 const DECIDE: f32 = 1.0 / 127.5;
-/// Keeps the sum of weights above zero where the shortest exposure is black and the longest clipped.
+/// Smallest e, relative to the weight of the frame's middle code value: keeps the sum of weights above zero where the
+/// shortest exposure is black and the longest clipped.
 const LEAST: f32 = 1e-6;
 
-/// Code values of the brightest channel from which on a frame may be clipped, and from which on it is if a shorter
-/// frame shows more radiance than it can hold. JPEG lowers a clipped channel by some code values, one of a saturated
-/// colour by many, but never all three. A frame far below white shows something else that moved.
+/// Code values of a frame's brightest channel: up to the first the frame is not clipped; from the second on it is
+/// clipped if a shorter frame shows more radiance than the frame can hold. JPEG lowers a clipped channel by some code
+/// values, and one channel of a saturated colour by many, but never all three by many. A frame far below white shows
+/// something else: an object that moved.
 const MAY_CLIP: (f32, f32) = (205.0, 235.0);
 
 /// A value for each channel and pixel of a row.
@@ -32,10 +34,11 @@ pub(super) struct Means {
     /// e X / dt and e of the longest exposure so far.
     longest_sum: Channels,
     pub(super) longest_weight: Channels,
-    /// 1 where a frame was used; where a channel is at white even in the shortest exposure; where all channels are at
-    /// code value 0 even in the longest.
+    /// 1 where a frame was used.
     is_seen: [u32; COLUMNS],
+    /// 1 where a channel is at white even in the shortest exposure.
     is_clipped: [u32; COLUMNS],
+    /// 1 where all channels are at code value 0 even in the longest exposure.
     is_black: [u32; COLUMNS],
     frame: View,
 }
@@ -45,24 +48,26 @@ struct View {
     meanings: [[Meaning; COLUMNS]; 3],
     /// Share to which the frame is used, 0..=1.
     share: [f32; COLUMNS],
-    /// The share, times that beside clipped pixels, times v.
+    /// The share, times [`Layer::ringing`] beside clipped pixels, times v of the equation.
     v: [f32; COLUMNS],
-    /// Lower bound of u.
+    /// Lower bound of u, from the brightest channel.
     below_top: [f32; COLUMNS],
-    /// 1 where this is the first frame that is used, and 1 where it is used.
+    /// 1 where this is the first frame that is used.
     is_first: [u32; COLUMNS],
+    /// 1 where this frame is used.
     is_used: [u32; COLUMNS],
-    /// Factor on the radiance, and its inverse.
+    /// Factor on the radiance.
     gain: [f32; COLUMNS],
+    /// Inverse of the factor on the radiance.
     inverse: [f32; COLUMNS],
 }
 
 /// Numbers of pixels whose radiance is only a bound.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Bounds {
-    /// Some channel is at white even in the shortest exposure.
+    /// Number of pixels with a channel at white even in the shortest exposure.
     pub clipped: usize,
-    /// All channels are at code value 0 even in the longest exposure.
+    /// Number of pixels with all channels at code value 0 even in the longest exposure.
     pub black: usize,
 }
 
@@ -99,7 +104,8 @@ impl Means {
         (self.is_seen, self.is_clipped, self.is_black) = ([0; COLUMNS], [0; COLUMNS], [0; COLUMNS]);
     }
 
-    /// Computes the means of row `y` over the frames that fill `fill`, or over those with a known transform.
+    /// Computes the means of row `y` over the frames that fill `fill`, or, if it is `None`, over those with a known
+    /// transform.
     #[inline(always)]
     pub fn add_all(&mut self, fill: Option<Fill>, (layers, tiles, taken): (&[Layer], &[Tile], &[Taken]), y: usize) {
         self.clear();
@@ -112,7 +118,7 @@ impl Means {
         }
     }
 
-    /// Adds the row of a frame. Pixels outside the frame and painted ones are not used.
+    /// Adds the row of a frame. Pixels outside the frame and [`PAINTED`] pixels are not used.
     #[inline(always)]
     pub fn add(&mut self, layer: &Layer, row: &Row, Taken { kept, gain }: Taken) {
         let View { meanings, share, v, below_top, is_first, is_used, gain: factor, inverse } = &mut self.frame;
@@ -133,10 +139,11 @@ impl Means {
             let is_beside = row.beside[x] & CLIPPED != 0;
             share[x] = t;
             v[x] = t * (if is_beside { layer.ringing } else { 1.0 }) * layer.guard(top);
-            // Beside clipped pixels any code value may come from a clipped one, because a moved frame is interpolated.
+            // Beside clipped pixels u has no lower bound: in a frame that was resampled, any code value there may
+            // include a clipped pixel.
             let below = at_most(at_least((MAY_CLIP.1 - top) * (1.0 / (MAY_CLIP.1 - MAY_CLIP.0)), 0.0), 1.0);
             below_top[x] = if is_beside { 0.0 } else { below };
-            // A frame that is not used does not decide.
+            // A frame that is used to less than half does not decide whether the pixel is clipped or black.
             let used = u32::from(t >= 0.5);
             let first = used & (self.is_seen[x] ^ 1);
             is_used[x] = used;
@@ -170,7 +177,7 @@ impl Means {
                 let e = if is_first[x] != 0 { e } else { 0.0 };
                 sum[x] = (sum[x] + w * radiance) + e * radiance;
                 weight[x] = (weight[x] + w) + e;
-                // Where the middle frame is clipped, it does not decide what is dark, whatever its code value.
+                // Where this frame is clipped (u is 0), it does not decide what is dark, whatever its code value.
                 let e = middle * unclipped * (DECIDE * (1.0 - code) + LEAST);
                 longest_sum[x] = if is_used[x] != 0 { e * radiance } else { longest_sum[x] };
                 longest_weight[x] = if is_used[x] != 0 { e } else { longest_weight[x] };
@@ -178,7 +185,7 @@ impl Means {
         }
     }
 
-    /// The radiance of the row, [`FLOOR`] where no frame covers it.
+    /// Writes the radiance of the row to `radiance`: [`FLOOR`] where no frame covers it.
     #[inline(always)]
     pub fn radiance(&self, radiance: &mut Channels) {
         for c in 0..3 {
@@ -201,7 +208,7 @@ impl Means {
         self.frame.is_used[x] != 0
     }
 
-    /// Updates the bounds of pixel `x`, which the `other` frames fill.
+    /// Updates whether pixel `x` is clipped or black, after the frames with the means `other` have filled it.
     pub fn fill(&mut self, x: usize, fill: Fill, other: &Means) {
         match fill {
             Fill::Clipped => self.is_clipped[x] &= other.is_clipped[x],
@@ -228,10 +235,10 @@ mod tests {
 
     const SIZE: (usize, usize) = (9, 7);
 
-    /// The exposure in stops, and the codes of a pixel's column and row.
+    /// A frame: its exposure in stops, and a function from column and row to the code values of a pixel.
     type Seen<'a> = (f64, &'a dyn Fn(usize, usize) -> [u8; 3]);
 
-    /// A still bracket of these frames; the reference is the second.
+    /// Returns a still bracket of these frames; the reference is the second frame.
     fn bracket(frames: &[Seen]) -> (Bracket, Alignment) {
         let frame = |&(stops, code): &Seen| {
             let codes = (0..SIZE.0 * SIZE.1).flat_map(|i| code(i % SIZE.0, i / SIZE.0)).collect();
@@ -248,7 +255,8 @@ mod tests {
         merge(bracket, alignment, &ResponseCurve::srgb(), &options, None).unwrap().0.pixels.into_vec()
     }
 
-    /// The equation at the head of the stage, word for word, of a place without clipped neighbours.
+    /// Returns the radiance of a pixel without clipped neighbours, by the equation at the head of
+    /// [`merge`](super::super), written out term by term.
     fn textbook(codes: &[[u8; 3]], times: &[f64], channel: usize) -> f64 {
         let curve = ResponseCurve::srgb();
         let x = |code: u8| f64::from(curve.exposures(channel)[usize::from(code)]);
@@ -287,7 +295,8 @@ mod tests {
             let seen = [0, 1, 2].map(|j| codes(j, i % SIZE.0, i / SIZE.0));
             for c in 0..3 {
                 let expected = textbook(&seen, &times, c);
-                // A dozen operations on floats of 24 bits; u takes the difference of nearly equal numbers.
+                // Rounding of a dozen operations on `f32`, which has 24 bits; u loses more, because it is a difference
+                // of nearly equal numbers.
                 assert!((f64::from(pixel[c]) / expected - 1.0).abs() < 2e-4, "{i} {c}: {} for {expected}", pixel[c]);
             }
         }
@@ -295,7 +304,8 @@ mod tests {
 
     #[test]
     fn radiance_of_shorter_frames_clips_the_longer_whatever_its_code() {
-        // At code 200 two stops down, the longer is beyond its top; JPEG has pulled its codes down.
+        // Code value 200 of a frame that is two stops shorter is more radiance than the longer frame can hold; JPEG has
+        // lowered the clipped code values of the longer frame.
         let pulled = |_: usize, _: usize| [235, 220, 240];
         let (bracket, alignment) = bracket(&[(-2.0, &|_, _| [200; 3]), (0.0, &pulled)]);
         let truth = 4.0 * ResponseCurve::srgb().exposures(0)[200];
@@ -303,7 +313,7 @@ mod tests {
             let pixel = merged(&bracket, &alignment, weight)[31];
             assert!((pixel[1] / truth - 1.0).abs() < 1e-3, "{weight:?} {pixel:?} for {truth}");
         }
-        // Without that, the plain mean is far off.
+        // `Weight::Uniform` has no u: its plain mean is far too dark.
         assert!(merged(&bracket, &alignment, Weight::Uniform)[31][1] < 0.8 * truth);
     }
 
@@ -313,8 +323,9 @@ mod tests {
             let (bracket, alignment) = bracket(&[(-2.0, &|_, _| [glint; 3]), (0.0, &|_, _| [120; 3])]);
             merged(&bracket, &alignment, Weight::Hat)[31][1]
         };
-        // Only the weights of the two frames matter. The longer has twice the exposure of the middle code value, and
-        // its code is closer to the middle.
+        // The longer frame is not excluded, so only the weights of the two frames matter. The weight of the longer
+        // frame's middle code value is twice that of the shorter frame's, and its code value 120 is closer to the
+        // middle than 200.
         let x = |code: usize| ResponseCurve::srgb().exposures(1)[code];
         assert!(of(200) < 0.35 * 4.0 * x(200) && of(200) > x(120), "{}", of(200) / x(200));
     }
@@ -330,14 +341,15 @@ mod tests {
         let (with, without) = (of(&[(-2.0, &paint), bare]), of(&[(-2.0, &|_, _| [40; 3]), bare]));
         let x = |code: usize| ResponseCurve::srgb().exposures(2)[code];
         for row in 0..SIZE.1 {
-            // The reference alone, there and in the next column; behind that as if there were no paint.
+            // In the painted columns 0 to 3 and in the next one only the reference is used; the other columns are as
+            // without paint.
             for column in 0..=4 {
                 let found = with[row * SIZE.0 + column][2];
                 assert!((found / x(100) - 1.0).abs() < 1e-3, "{row} {column}: {found} for {}", x(100));
             }
             assert_eq!(with[row * SIZE.0 + 5..(row + 1) * SIZE.0], without[row * SIZE.0 + 5..(row + 1) * SIZE.0]);
         }
-        // Where all frames have it, the reference is used.
+        // Where all frames are painted, the reference is used.
         let own = of(&[(-2.0, &|_, _| [255, 0, 0]), (0.0, &|_, _| [255, 0, 0])]);
         assert!(own[31][0] > x(200), "{:?}", own[31]);
     }

@@ -25,13 +25,13 @@ pub struct Merging<'a> {
     bracket: &'a Bracket,
     pub(super) region: Rect,
     pub(super) layers: Vec<Layer<'a>>,
-    /// The index in the bracket of each layer.
+    /// Index in the bracket of the frame of each layer.
     pub(super) frames: Vec<usize>,
     ghosts: Option<&'a Ghosts>,
     local: Option<&'a LocalGain>,
 }
 
-/// Rows of the result.
+/// A slab: consecutive rows of the result.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Slab {
     /// The radiance.
@@ -46,7 +46,8 @@ impl<'a> Merging<'a> {
     /// Prepares the merge of `options.region`.
     ///
     /// Rejected frames are not merged. Weights are multiplied by the motion masks `ghosts`, which must be of the same
-    /// region and alignment; a frame kept by less than half does not decide clipped and black pixels.
+    /// region and alignment. Where a mask keeps less than half of a frame, that frame does not decide whether a pixel
+    /// is clipped or black.
     ///
     /// # Errors
     /// [`Error::Option`] if the region is empty or not within the reference frame, no frame was aligned, or `ghosts`
@@ -83,7 +84,7 @@ impl<'a> Merging<'a> {
         Ok(merging)
     }
 
-    /// Adds the gains of locally processed frames, which must be of the same region and alignment.
+    /// Adds the gains of locally processed frames; the gains must be of the same region and alignment.
     ///
     /// # Errors
     /// [`Error::Option`] if the gain is of another region or other frames.
@@ -96,31 +97,32 @@ impl<'a> Merging<'a> {
         Ok(merging)
     }
 
-    /// The merged frames, by rising exposure.
+    /// Returns the paths of the merged frames, by rising exposure.
     fn paths(&self) -> Vec<&'a Path> {
         self.frames.iter().map(|&i| self.bracket.frames()[i].path()).collect()
     }
 
-    /// What the frames with assumed transforms fill.
+    /// Returns what the frames with assumed transforms fill: clipped pixels, black pixels, both or none.
     pub(super) fn fills(&self) -> Vec<Fill> {
         let is_asked = |fill: &Fill| self.layers.iter().any(|layer| layer.fill == Some(*fill));
         [Fill::Clipped, Fill::Black].into_iter().filter(is_asked).collect()
     }
 
-    /// Share to which each pixel of layer `i` is used at `rows` of the region; empty if all are used. The motion mask
-    /// is not applied to a frame that fills.
+    /// Returns the share, 0..=1, to which each pixel of layer `i` is used in `rows` of the region; empty if all pixels
+    /// are used fully. The motion mask is not applied to a frame with an assumed transform.
     pub(super) fn kept(&self, i: usize, rows: Range<usize>) -> Vec<f32> {
         let ghosts = self.ghosts.filter(|_| self.layers[i].fill.is_none());
         ghosts.map_or_else(Vec::new, |ghosts| ghosts.kept(i, rows))
     }
 
-    /// The [base](LocalGain::base) of layer `i` at `rows` of the region; empty if frames are not locally processed.
+    /// Returns the [base](LocalGain::base) of layer `i` at `rows` of the region; empty if frames are not locally
+    /// processed.
     pub(super) fn base(&self, i: usize, rows: Range<usize>) -> Vec<[f32; 2]> {
         self.local.map_or_else(Vec::new, |local| local.base(i, rows))
     }
 
-    /// Writes to `gain` the factor on the radiance of each layer at `columns` of the `tiles`; `bases` are those of all
-    /// columns. Does nothing if the factor is 1.
+    /// Writes to `gain` the factors on the radiance of each layer at `columns`, which are those of the `tiles`; `bases`
+    /// covers all columns of the region. Does nothing without a local gain, where the factors are 1.
     pub(super) fn multiply(
         &self,
         tiles: &[Tile],
@@ -144,8 +146,8 @@ impl<'a> Merging<'a> {
         (self.region.width(), self.region.height())
     }
 
-    /// The statistics of the merge. The argument has the sums of [`Slab::all_clipped`] and [`Slab::all_black`] over all
-    /// slabs.
+    /// Returns the statistics of the merge. The argument is the sums of [`Slab::all_clipped`] and [`Slab::all_black`]
+    /// over all slabs.
     pub fn merged(&self, (all_clipped, all_black): (usize, usize)) -> Merged {
         let reference_exposure = self.bracket.reference().exposure.relative();
         Merged { frames: self.layers.len(), all_clipped, all_black, reference_exposure }

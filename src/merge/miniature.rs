@@ -6,7 +6,7 @@
 //!
 //! Two responses that are nearly equal at most code values may give different radiance: dark pixels have little weight
 //! but are many, and where all frames are clipped or black a single code value decides. Therefore evenly spaced pixels
-//! are merged with both.
+//! are merged with both responses.
 
 use super::weight::Weight;
 use super::{MergeOptions, merge};
@@ -27,22 +27,23 @@ pub struct Miniature {
 }
 
 impl Miniature {
-    /// About `pixels` pixels of the overlap of the merged frames, evenly spaced. `None` if they do not overlap.
+    /// Reads about `pixels` evenly spaced pixels of the overlap of the merged frames. `None` if the frames do not
+    /// overlap.
     ///
     /// # Errors
-    /// [`Error::TooFewFrames`](crate::error::Error::TooFewFrames) if fewer than two were aligned;
+    /// [`Error::TooFewFrames`](crate::error::Error::TooFewFrames) if fewer than two frames were aligned;
     /// [`Error::Scratch`](crate::error::Error::Scratch).
     pub fn of(bracket: &Bracket, alignment: &Alignment, pixels: usize) -> Result<Option<Self>> {
         let Rect { x0, y0, x1, y1 } = alignment.overlap;
         let step = (((x1 - x0) * (y1 - y0)) as f64 / pixels as f64).sqrt().max(1.0);
-        // The centres of cells of this size.
+        // The centres of cells with a side of `step` pixels.
         let middles = |first: usize, end: usize| -> Vec<usize> {
             let cells = (((end - first) as f64 / step) as usize).max(1);
             (0..cells).map(|k| first + (end - first) * (2 * k + 1) / (2 * cells)).collect()
         };
         let columns = middles(x0, x1);
         let placed = placed(bracket, alignment);
-        // The code values of pixels that all frames cover, for each frame.
+        // Returns for each frame its code values at those pixels of row `y` that all frames cover.
         let read = |&y: &usize| -> Result<Vec<Vec<u16>>> {
             let strips = placed.iter().map(|frame| frame.strip(&(x0..x1), &(y..y + 1))).collect::<Result<Vec<_>>>()?;
             let mut rows = vec![Vec::with_capacity(3 * columns.len()); strips.len()];
@@ -77,7 +78,8 @@ impl Miniature {
     }
 }
 
-/// The difference of the radiance merged with `read` from that merged with `curve`, over all pixels of `miniatures`.
+/// Returns the difference of the radiance merged with `read` from that merged with `curve`, over all pixels of
+/// `miniatures`.
 ///
 /// # Errors
 /// Those of [`merge`].
@@ -123,7 +125,7 @@ mod tests {
         let twice = ResponseCurve::new(twice).unwrap();
         let found = loss(&[&miniature, &miniature], &curve, &twice).unwrap();
         let all = [found.luminance_stops, found.channel_stops[0], found.channel_stops[1], found.channel_stops[2]];
-        // Of floats: 24 bits.
+        // Radiance is `f32`, which has 24 bits.
         assert!(all.iter().all(|stops| (stops - 1.0).abs() < 1e-5), "{found:?}");
         assert_eq!(loss(&[&miniature], &curve, &curve).unwrap().luminance_stops, 0.0);
     }

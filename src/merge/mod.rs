@@ -1,38 +1,44 @@
 //! Merging: radiance from aligned frames, their exposures and the response.
 //!
 //! In: a bracket, its alignment and the response. Out: a [`RadianceMap`] on the pixels of the reference frame, and a
-//! [`Merged`]. Cost: about 15 ns of one core for each pixel of each frame, twice that if it moved. Source: Debevec &
-//! Malik 1997, "Recovering High Dynamic Range Radiance Maps from Photographs", section 2.2.
+//! [`Merged`]. Cost: about 15 ns of one core for each pixel of each frame, twice that in frames that moved. Source:
+//! Debevec & Malik 1997, "Recovering High Dynamic Range Radiance Maps from Photographs", section 2.2.
 //!
-//! The radiance of a pixel is the weighted mean over the frames j, for each channel,
+//! The radiance of a pixel is the weighted mean over the frames j, for each channel. Z_j is the code value of frame j,
+//! g(Z) the logarithm of the exposure that gives code value Z, and dt_j the relative exposure of the frame:
 //!
 //! ```text
-//! E = sum_j w_j X_j / dt_j  /  sum_j w_j,        X = exp(g(Z)),  w_j = w(Z_j) sqrt(dt_j) v(max of R, G, B in j) u_j + e_j
+//! E = sum_j w_j X_j / dt_j  /  sum_j w_j,        X = exp(g(Z)),
+//! w_j = w(Z_j) sqrt(dt_j) v(max of R, G, B in j) u_j r_j + e_j
 //! ```
 //!
 //! - The mean is of exposures, not of their logarithms as in the paper's equation 6: on ten rendered brackets, with the
-//!   hat and the true response, the mean of logarithms has a PU21-PSNR lower by 1.2 dB, with an equal RMS error in
-//!   stops.
-//! - v depends on the brightest of the three channels: if one is nearly clipped, the colour processing of the camera
-//!   has changed the others, and frames without clipping get the weight. Without v a clipped channel leaves a colour
-//!   cast.
-//! - u compares the frames: if a shorter one shows more radiance than this one can hold, and the brightest channel of
-//!   this one is near white, it is clipped, whatever its code values. JPEG ringing beside clipped pixels, and noise,
-//!   lower code values near white, where they would darken the mean most. With noise weights, u alone gains 17 dB on
-//!   rendered brackets.
+//!   hat weight and the true response, the mean of logarithms has a PU21-PSNR lower by 1.2 dB, with an equal RMS error
+//!   in stops.
+//! - v depends on the brightest of the three channels: if this channel is nearly clipped, the colour processing of the
+//!   camera has changed the other two, so v reduces the weight of the frame in favour of frames without clipping.
+//!   Without v a clipped channel leaves a colour cast.
+//! - u compares the frames: frame j is clipped, whatever its code values, if a shorter frame shows more radiance than
+//!   frame j can hold, and the brightest channel of frame j is near white. JPEG ringing beside clipped pixels, and
+//!   noise, give a clipped pixel code values below white, which would darken the mean. With noise weights, u alone
+//!   gains 17 dB on rendered brackets.
+//! - r is 1/2 at and beside clipped pixels, otherwise 1: JPEG ringing, sharpening and resampling change what is beside
+//!   them.
+//! - For uniform weights v, u, r and the factor sqrt(dt) are 1.
 //! - e_j decides where no frame has weight: the shortest exposure where all are clipped, the longest where all are
-//!   black. It is a weight in the same mean, as large as that of one code value, and fades linearly over the code
-//!   values, so that there is no visible border.
-//! - Pixels with some channels at white and others at 0, and their neighbours, are left out of every frame but the
-//!   reference: they are painted.
-//! - A frame with an [assumed](crate::align::Placement::Assumed) transform is not among the j: it fills what is
-//!   clipped, or black, in all of them (`fill`).
-//! - In locally processed frames, X_j / dt_j and the bounds of v and u are multiplied by the local [gain](local).
+//!   black. It is a weight in the same mean, at most as large as the hat weight of one code value, and fades linearly
+//!   over the code values, so that there is no visible border.
+//! - Pixels with some channels at white and the others at 0, and the neighbours of such pixels, are not used in any
+//!   frame but the reference: no scene is like that, so they are painted, as in the borders of registered scans.
+//! - A frame with an [assumed](crate::align::Placement::Assumed) transform is not among the frames j: it fills what is
+//!   clipped, or black, in all frames j (`fill`).
+//! - In locally processed frames, X_j / dt_j and the radiances that u compares are multiplied by the local
+//!   [gain](local).
 //!
-//! **Units.** dt is the frame's relative exposure over that of the reference, and g(128) = 0: radiance 1 gives the
-//! reference frame its middle code value. The values of a well-exposed reference frame are about 0.001 to 5, so the
-//! range of any bracket fits into half floats (6e-8 to 65504). Divide by [`Merged::reference_exposure`] to compare
-//! brackets of different exposures, or normalise them.
+//! **Units.** dt is the frame's relative exposure divided by that of the reference, and the mean of g(128) over the
+//! channels is 0: radiance 1 gives the reference frame its middle code value. The values of a well-exposed reference
+//! frame are about 0.001 to 5, so the range of any bracket fits into half floats (6e-8 to 65504). Divide by
+//! [`Merged::reference_exposure`] to compare brackets of different exposures, or normalise them.
 
 pub mod deghost;
 mod fill;
@@ -62,7 +68,7 @@ use radiance::statistics::Statistics;
 use serde::Serialize;
 use weight::Weight;
 
-/// The smallest radiance, so that no value is 0: less than any response and exposure give.
+/// Lower limit of radiance, so that no value is 0: less than any real response and exposure give.
 pub const FLOOR: f32 = 1e-12;
 
 /// Linear radiance.
@@ -89,10 +95,11 @@ pub struct MergeOptions {
 pub struct Merged {
     /// The number of frames merged.
     pub frames: usize,
-    /// Pixels with a channel at white even in the shortest exposure that covers them: their radiance is a lower bound.
+    /// Number of pixels with a channel at white even in the shortest exposure that covers them: their radiance is a
+    /// lower bound.
     pub all_clipped: usize,
-    /// Pixels with all channels at code value 0 even in the longest exposure that covers them: their radiance is an
-    /// upper bound.
+    /// Number of pixels with all channels at code value 0 even in the longest exposure that covers them: their radiance
+    /// is an upper bound.
     pub all_black: usize,
     /// The relative exposure of the reference frame, t * ISO / N^2 in s. Radiance divided by it is comparable between
     /// brackets.
@@ -100,7 +107,7 @@ pub struct Merged {
 }
 
 impl Merged {
-    /// The report, for radiance and `limits` in their final unit and colours. Relative radiance refers to
+    /// Returns the report; `radiance` and `limits` are in their final unit and colours. Relative radiance refers to
     /// `unit_exposure`, or else to the exposure of the reference frame.
     pub fn report(self, radiance: Statistics, limits: Option<Limits>, unit_exposure: Option<f64>) -> MergeReport {
         let Merged { frames, all_clipped, all_black, reference_exposure } = self;
@@ -134,12 +141,12 @@ pub struct MergeReport {
     /// The relative exposure t * ISO / N^2 at which radiance 1 gives the middle code value. It is the exposure of the
     /// reference frame, or that of the normalisation. Null if radiance is in cd/m2.
     pub unit_exposure_s: Option<f64>,
-    /// The range from the darkest radiance in the picture above the noise to the brightest that is not clipped, in
-    /// stops. Null for locally processed frames.
+    /// The range in stops from the darkest radiance in the picture that is above the noise to the brightest that is not
+    /// clipped. Null for locally processed frames.
     pub range_stops: Option<f64>,
     /// The radiances between noise and clipping, in the unit of the radiance. Null for locally processed frames.
     pub limits: Option<Limits>,
-    /// Of the luminance.
+    /// Statistics of the luminance.
     pub radiance: Statistics,
 }
 
@@ -156,7 +163,7 @@ mod tests {
         merge(bracket, alignment, &ResponseCurve::srgb(), &options, None).unwrap()
     }
 
-    /// Twelve stops from left to right.
+    /// Returns a radiance that rises by twelve stops from left to right, over 240 columns.
     fn ramp(x: usize, _: usize) -> [f64; 3] {
         [libm::exp2(x as f64 / 20.0 - 9.0); 3]
     }
@@ -169,14 +176,14 @@ mod tests {
             let scale = f64::from(ResponseCurve::srgb().exposure(0, 255.0));
             for x in 0..240 {
                 let (found, truth) = (f64::from(map.pixels.at(x, 69)[1]) / scale, ramp(x, 0)[1]);
-                // Above 8 the shortest exposure clips, below 0.001 the longest has fewer than 20 codes: half of one is
-                // 5 %.
+                // Above 8 the shortest exposure clips. Below 0.001 the longest has code values below 22, where rounding
+                // by half a code value is already an error of 3 %.
                 if (0.001..7.5).contains(&truth) {
                     assert!((found / truth - 1.0).abs() < 0.05, "{weight:?} {x}: {found} for {truth}");
                 }
             }
-            // The radiance rises along the row, in regions from one frame as well as in averaged regions, except for
-            // the rounding of codes.
+            // The radiance rises along the row, where one frame has all the weight as well as where frames are
+            // averaged, except for the rounding of code values.
             assert!((1..240).all(|x| map.pixels.at(x, 0)[0] >= 0.97 * map.pixels.at(x - 1, 0)[0]), "{weight:?}");
             assert_eq!((report.all_clipped, report.all_black), (0, 0));
         }
@@ -189,8 +196,8 @@ mod tests {
         assert_eq!((report.all_clipped, report.all_black), (12, 12));
         let (bright, dark) = (map.pixels.at(0, 0), map.pixels.at(7, 0));
         let curve = ResponseCurve::srgb();
-        // The reference is the longer: the shorter frame's 255 means four times as much. LEAST lets the other in by
-        // 1e-4.
+        // The reference is the longer frame: code value 255 of the shorter frame is four times as much radiance.
+        // `mean::LEAST` gives the longer frame a share of 1e-4.
         assert!((bright[0] / (4.0 * curve.exposure(0, 255.0)) - 1.0).abs() < 1e-3);
         assert!(bright[0] == bright[1] && bright[1] == bright[2] && dark[0] > 0.0);
         assert!((dark[0] / curve.exposure(0, 0.0) - 1.0).abs() < 1e-3);
@@ -218,13 +225,13 @@ mod tests {
     fn moved_frames_and_rejected_ones() {
         let (bracket, mut alignment) = still((40, 30), &[0.5, 1.0, 2.0], |x, y| [0.05 + 0.003 * (x + y) as f64; 3]);
         let (exact, _) = run(&bracket, &alignment, Weight::Hat);
-        // Moved by nothing: the interpolated tables must give what the exact ones do.
+        // A shift by 0 pixels: the frame is read through interpolated tables, which must give what the exact ones do.
         alignment.placements[0] = Placement::by_user(Transform::Rigid { dx: 0.0, dy: 0.0, angle: 0.0 });
         let (moved, _) = run(&bracket, &alignment, Weight::Hat);
         for (a, b) in exact.pixels.as_slice().iter().zip(moved.pixels.as_slice()) {
             assert!((a[0] / b[0] - 1.0).abs() < 1e-4);
         }
-        // Moved out of the picture, it is as if it were rejected.
+        // A frame that is moved out of the picture counts as rejected.
         alignment.placements[0] = Placement::by_user(Transform::Rigid { dx: 1000.0, dy: 0.0, angle: 0.0 });
         let (outside, _) = run(&bracket, &alignment, Weight::Hat);
         alignment.placements[0] = Placement::excluded(RejectedBy::User, "a reason".into());

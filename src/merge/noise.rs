@@ -7,23 +7,24 @@
 //! Immerkaer's (1996).
 //!
 //! Each block gives its mean, and the mean square of z(x, y) - z(x+1, y) - z(x, y+1) + z(x+1, y+1), a quarter of which
-//! is the variance of white noise on any slope. Texture increases it, so the lower quartile of the blocks of a
-//! brightness is used. Noise that the camera or JPEG has smoothed is underestimated; [`LEAST`] is the minimum.
+//! is the variance of white noise on any slope. Texture increases the mean square, so the lower quartile over the
+//! blocks of a step of brightness is used. Noise that the camera or JPEG has smoothed is underestimated; [`LEAST`] is
+//! the minimum.
 
 use crate::bracket::{Codes, Frame};
 use crate::error::Result;
 use crate::response::{CODES, ResponseCurve};
 use crate::statistics::of_rank;
 
-/// Side of a block in pixels, the same as in JPEG, and on the same grid.
+/// Side of a block in pixels: the size and the grid of the blocks of JPEG.
 const BLOCK: usize = 8;
-/// Largest number of blocks read of a frame.
+/// Largest number of blocks that are read from a frame.
 const READ: usize = 16_384;
-/// Steps of brightness.
+/// Number of steps of brightness that the code values are divided into.
 const STEPS: usize = 16;
 /// Smallest number of blocks from which the noise of a step is estimated.
 const FEWEST: usize = 12;
-/// Rank, among the blocks of a brightness, of the block that shows the noise.
+/// Rank, as a fraction, of the block that gives the noise, among the blocks of a step sorted by variance.
 const QUANTILE: f64 = 0.25;
 /// Smallest standard deviation of a code value: 0.29 from rounding, and most of the rest from the rounding of JPEG
 /// coefficients.
@@ -36,17 +37,17 @@ const ERROR: (f64, f64) = (0.02, 0.05);
 pub(super) struct Noise {
     /// Variance of the code value in the middle of each step of brightness, for R, G and B.
     steps: [[f64; STEPS]; 3],
-    /// Standard deviation relative to the radiance, at any code value.
+    /// Relative standard deviation of the radiance, the same at any code value: one of [`ERROR`].
     error: f64,
 }
 
 impl Noise {
-    /// The smallest noise.
+    /// Returns the noise of a frame with [`LEAST`] at every code value.
     pub(super) fn least() -> Self {
         Noise { steps: [[LEAST * LEAST; STEPS]; 3], error: ERROR.0 }
     }
 
-    /// Measures the noise of `frame`; `moved` if it is interpolated.
+    /// Measures the noise of `frame`; `moved` is true if the frame is interpolated.
     ///
     /// # Errors
     /// [`Error::Scratch`](crate::error::Error::Scratch) if the frame is on disk and cannot be read.
@@ -54,7 +55,8 @@ impl Noise {
         Ok(Noise { steps: shown(frame, LEAST)?, error: if moved { ERROR.1 } else { ERROR.0 } })
     }
 
-    /// Measures the noise of a `frame` of 16 bits, without the minimum for JPEG.
+    /// Measures the noise of a 16-bit `frame`. The minimum is [`LEAST`] of a 16-bit code value, because the frame is not
+    /// from JPEG.
     ///
     /// # Errors
     /// Those of [`of`](Self::of).
@@ -62,12 +64,12 @@ impl Noise {
         Ok(Noise { steps: shown(frame, LEAST / 257.0)?, error: ERROR.0 })
     }
 
-    /// The standard deviation at `code`, which may lie between two code values.
+    /// Returns the standard deviation at `code`, which may lie between two code values.
     pub(super) fn deviation(&self, channel: usize, code: f64) -> f64 {
         self.code_variance(channel, code).sqrt()
     }
 
-    /// The variance of the exposure at a code value: (sigma_Z dX/dZ)^2 + (error X)^2.
+    /// Returns the variance of the exposure X at code value Z: (sigma_Z dX/dZ)^2 + (error X)^2.
     pub(super) fn variance(&self, curve: &ResponseCurve, channel: usize, code: usize) -> f64 {
         let x = curve.exposures(channel);
         let (from, to) = (code.saturating_sub(1), (code + 1).min(CODES - 1));
@@ -76,7 +78,7 @@ impl Noise {
         self.code_variance(channel, code as f64) * slope * slope + error * error
     }
 
-    /// The variance of a code value, interpolated between the steps.
+    /// Returns the variance of a code value, interpolated between the steps.
     fn code_variance(&self, channel: usize, code: f64) -> f64 {
         let steps = &self.steps[channel];
         let at = (code * STEPS as f64 / CODES as f64 - 0.5).clamp(0.0, (STEPS - 1) as f64);
@@ -93,11 +95,11 @@ fn shown(frame: &Frame, least: f64) -> Result<[[f64; STEPS]; 3]> {
     })
 }
 
-/// The variance of `codes` by channel and brightness, on the scale 0..=255, which `scale` converts to; the standard
-/// deviation is at least `least`.
+/// Returns the variance of `codes` by channel and step of brightness, on the scale 0..=255: the code values are divided
+/// by `scale`. The standard deviation is at least `least`.
 fn measure<T: Copy + Into<f64>>(codes: &[T], width: usize, scale: f64, least: f64) -> [[f64; STEPS]; 3] {
     let (columns, rows) = (width / BLOCK, codes.len() / (3 * width) / BLOCK);
-    // Every stride-th block in both directions, for at most READ blocks.
+    // Every stride-th block in both directions, so that at most READ blocks are read.
     let stride = (1..).find(|s| columns.div_ceil(*s) * rows.div_ceil(*s) <= READ).unwrap_or(1);
     let mut seen: [[Vec<f64>; STEPS]; 3] = Default::default();
     for row in (0..rows).step_by(stride) {
@@ -115,7 +117,8 @@ fn measure<T: Copy + Into<f64>>(codes: &[T], width: usize, scale: f64, least: f6
     seen.map(|seen| filled(seen, least * least))
 }
 
-/// Returns the mean of a block and its estimate of the noise; `None` if a code of it is clipped.
+/// Returns the mean of a block and its estimate of the noise variance; `None` if one of its code values is clipped or
+/// black.
 fn block(at: impl Fn(usize, usize) -> f64) -> Option<(f64, f64)> {
     let (mut sum, mut squares) = (0.0, 0.0);
     for y in 0..BLOCK {
@@ -170,7 +173,7 @@ mod tests {
         ((x ^ (x >> 29)) >> 11) as f64 / (1u64 << 53) as f64 - 0.5
     }
 
-    /// A slope from left to right with noise of standard deviation `sigma(code)`.
+    /// Returns a frame whose code values rise from left to right, with noise of standard deviation `sigma(code)`.
     fn frame(sigma: impl Fn(f64) -> f64) -> Frame {
         let (width, height) = (512, 256);
         let codes = (0..width * height * 3).map(|i| {
@@ -188,11 +191,12 @@ mod tests {
         let sigma = |code: f64| 1.5 + code / 50.0;
         let noise = Noise::of(&frame(sigma), false).unwrap();
         for code in [40, 100, 160, 220] {
-            // The lower quartile of 49 dependent squares is about 15 % below their mean; rounding adds 1/12.
+            // The variance of a block is a mean of 49 dependent squares. Its lower quartile is 21 % below the true
+            // variance, so the standard deviation is 11 % too small; rounding adds 1/12 to the variance.
             let (found, truth) = (noise.deviation(1, f64::from(code)), sigma(f64::from(code)));
             assert!((0.8..1.05).contains(&(found / truth)), "{code}: {found} for {truth}");
         }
-        // Codes that the frame does not have get the values of the nearest.
+        // Code values darker than the frame has get the noise of the darkest step that it has.
         assert_eq!(noise.code_variance(0, 0.0), noise.steps[0][1]);
     }
 

@@ -34,11 +34,11 @@ impl Loops for MergedRow<'_, '_> {
 
 /// Computes the weight of each frame in the first row of a tile, for the report.
 pub(super) struct WeighedRow<'a, 'b> {
-    /// Which frames: those that fill this, or those with known transforms.
+    /// The frames that are weighed: those that fill this, or, if it is `None`, those with known transforms.
     pub fill: Option<Fill>,
     pub layers: &'a [Layer<'b>],
     pub tiles: &'a [Tile],
-    /// As in [`MergedRow`].
+    /// For each frame the share and the factor of each pixel.
     pub taken: &'a [Taken<'a>],
     pub means: &'a mut Means,
     /// For each frame and pixel the sum of the weights of the channels, including e.
@@ -51,7 +51,8 @@ impl Loops for WeighedRow<'_, '_> {
     #[inline(always)]
     fn run(self) {
         self.means.clear();
-        // The last frame that is used decides what is dark: its index and weight.
+        // At each pixel the last frame that is used decides what is dark: the index of that frame, and its extra weight
+        // e.
         let (mut last, mut decides) = ([None; COLUMNS], [0.0; COLUMNS]);
         for (i, ((layer, tile), taken)) in self.layers.iter().zip(self.tiles).zip(self.taken).enumerate() {
             let Some(row) = tile.row(0).filter(|_| layer.fill == self.fill) else { continue };

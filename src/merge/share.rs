@@ -17,9 +17,9 @@ use rayon::prelude::*;
 /// The share of one frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Share {
-    /// Its index in the bracket.
+    /// Index of the frame in the bracket.
     pub frame: usize,
-    /// 0..=1, by cells of the result.
+    /// Mean share, 0..=1, in each cell of the result.
     pub cells: Plane<f32>,
 }
 
@@ -32,8 +32,8 @@ impl Share {
 }
 
 impl Merging<'_> {
-    /// The shares of the frames, by rising exposure, on `size` cells of the result. Only the middle row of each cell is
-    /// computed.
+    /// Returns the shares of the frames, by rising exposure, on a grid of `size` (columns, rows) cells over the result.
+    /// Only the middle row of each cell is computed.
     ///
     /// # Errors
     /// [`Error::Scratch`](crate::error::Error::Scratch) if frames are on disk and cannot be read.
@@ -55,7 +55,7 @@ impl Merging<'_> {
         Ok((0..self.layers.len()).map(|layer| Share { frame: self.frames[layer], cells: plane(layer) }).collect())
     }
 
-    /// The shares of row `y` of the result: for each frame the mean over each of `across` cells.
+    /// Returns the shares in row `y` of the result: for each frame the mean over each of `across` cells.
     fn share_row(&self, y: usize, across: usize) -> Result<Vec<Vec<f32>>> {
         let Rect { x0, y0, .. } = self.region;
         let width = self.region.width();
@@ -92,7 +92,7 @@ impl Merging<'_> {
             for (i, x) in columns.enumerate() {
                 let cell = x * across / width;
                 let all: f32 = weights.iter().map(|w| w[i]).sum();
-                // No frame covers the pixel.
+                // The sum is 0 where no frame covers the pixel.
                 if all > 0.0 {
                     sums.iter_mut().zip(&weights).for_each(|(sum, w)| sum[cell] += w[i] / all);
                 }
@@ -106,7 +106,7 @@ impl Merging<'_> {
     }
 }
 
-/// Scales `weights` so that they sum to 1 for each pixel, of which `part` goes to the `filled` ones.
+/// Scales `weights` to the sum 1 - `part` in each pixel, and adds the weights `filled`, scaled to the sum `part`.
 fn mix(weights: &mut [[f32; COLUMNS]], filled: &[[f32; COLUMNS]], part: &[f32; COLUMNS]) {
     for (x, &part) in part.iter().enumerate() {
         let sum = |of: &[[f32; COLUMNS]]| of.iter().map(|w| w[x]).sum::<f32>().max(f32::MIN_POSITIVE);
@@ -127,7 +127,7 @@ mod tests {
 
     #[test]
     fn shares_are_those_with_which_the_frames_make_the_radiance() {
-        // Ten stops from left to right: the longest frame has the dark end, the shortest the bright one.
+        // Ten stops from left to right: the longest frame shows the dark end, the shortest the bright one.
         let scene = |x: usize, _: usize| [libm::exp2(x as f64 / 20.0 - 9.0); 3];
         let (bracket, alignment) = still((200, 40), &[0.125, 1.0, 8.0], scene);
         let curve = ResponseCurve::srgb();
@@ -146,7 +146,8 @@ mod tests {
             let of = |frame: usize| shares[frame].cells.at(x, 0);
             let all: f32 = (0..3).map(of).sum();
             assert!((all - 1.0).abs() < 1e-4, "{x}: {all}");
-            // The channels are alike, so the mean by shares is the radiance; beside clipped pixels too.
+            // All channels are equal, so the radiances of the frames, weighted by their shares, add up to the merged
+            // radiance, also beside clipped pixels.
             let mean: f32 = (0..3).map(|frame| of(frame) * own(frame, x)).sum();
             let found = radiance.at(x, 5)[1];
             assert!((mean / found - 1.0).abs() < 2e-3, "{x}: {mean} for {found}");
@@ -155,7 +156,7 @@ mod tests {
         assert!((shares.iter().map(Share::mean).sum::<f64>() - 1.0).abs() < 1e-4);
     }
 
-    /// The exposure of the reference frame, which radiance refers to.
+    /// Returns the relative exposure of the reference frame, which radiance refers to.
     fn bracket_unit(bracket: &crate::bracket::Bracket) -> f32 {
         bracket.reference().exposure.relative() as f32
     }

@@ -1,19 +1,19 @@
 //! Weighting functions over the code values.
 //!
-//! In: a response, and for some the noise of a frame. Out: a table with a weight for each code value of a channel.
-//! Cost: negligible. Source: the hat is Debevec & Malik 1997, equation 4; the Gaussian is Robertson, Borman & Stevenson
-//! 2003, section III, shifted and scaled so that it is 0 at both ends; the plateau is Ward's, as hdrgen has it: 1 - (2
-//! z / 255 - 1)^12; the certainty is Mann & Picard 1995, "On being undigital with digital cameras", section 3; inverse
-//! variances as weights are Gauss' least squares, for cameras as in Granados et al. 2010, "Optimal HDR reconstruction
-//! with linear digital cameras".
+//! In: a response, and for [`Weight::Noise`] the noise of a frame. Out: a table with a weight for each code value of a
+//! channel. Cost: negligible. Source: the hat is Debevec & Malik 1997, equation 4; the Gaussian is Robertson, Borman &
+//! Stevenson 2003, section III, shifted and scaled so that it is 0 at both ends; the plateau is that of hdrgen by Ward,
+//! 1 minus the 12th power of 2 z / 255 - 1; the certainty is Mann & Picard 1995, "On being undigital with digital
+//! cameras", section 3; inverse variances as weights are Gauss' least squares, for cameras as in Granados et al. 2010,
+//! "Optimal HDR reconstruction with linear digital cameras".
 
 use super::noise::Noise;
 use crate::response::{CODES, MID, ResponseCurve, hat};
 
-/// Range of code values above black over which [`Weight::Noise`] fades in, and below white over which it fades out:
-/// clipping changes values there, which the variance does not show.
+/// Number of code values above black over which [`Weight::Noise`] rises from 0, and below white over which it falls to
+/// 0: there, clipping changes the values, which the variance does not show.
 const FADES: (f64, f64) = (8.0, 40.0);
-/// Code values to either side over which the slope of a response is computed.
+/// Number of code values to either side over which the slope of a response is computed.
 const REACH: usize = 4;
 
 /// Weighting function over the code values, scaled to 0..=255: 0 at both ends, which may be clipped, except for
@@ -23,24 +23,25 @@ const REACH: usize = 4;
 #[serde(rename_all = "kebab-case")]
 #[strum(serialize_all = "kebab-case")]
 pub enum Weight {
-    /// 0 at both ends of the code values, rising linearly to the middle.
+    /// Middle values count most; falls linearly to 0 at black and white.
     #[default]
     Hat,
-    /// Gaussian about the middle, with a standard deviation of 45 of 255 code values.
+    /// Middle values count most; a Gaussian with a standard deviation of 45 (of 255).
     Gaussian,
-    /// Nearly 1, falling to 0 in the lowest and the highest tenth of the code values.
+    /// Values count nearly the same; falls to 0 in the lowest and the highest tenth.
     Plateau,
-    /// 1 for every code value, clipped or not.
+    /// All values count the same, clipped or not.
     Uniform,
-    /// Certainty (Mann & Picard 1995): the slope of the response, in code values per stop.
+    /// By the slope of the response, in values per stop: certainty (Mann & Picard 1995).
     MannPicard,
-    /// Inverse variance of the radiance, from the noise measured in each frame and from rounding.
+    /// Frames with less noise count more: inverse variance, from the measured noise and from rounding.
     Noise,
 }
 
 impl Weight {
-    /// The weight, 0..=1, of the code value `code` on the scale 0..=255, for a response `g` that is black up to
-    /// `black`. For [`Weight::Noise`] only the fading. The functions are stretched over the code values above black.
+    /// Returns the weight, 0..=1, of the code value `code` on the scale 0..=255, for a response `g` that is black up to
+    /// `black`. For [`Weight::Noise`] the result is only the fading near black and white. The functions are stretched
+    /// over the code values above black.
     fn at(self, code: usize, g: &[f64; CODES], black: f64) -> f64 {
         let above = (code as f64 - black).max(0.0);
         let stretched = above * 255.0 / (255.0 - black);
@@ -63,8 +64,8 @@ impl Weight {
         }
     }
 
-    /// The weights of code values 0..=255 of `channel` in a frame with `time` times the exposure of the reference frame
-    /// and with `noise`. They are 0 up to black.
+    /// Returns the weights of code values 0..=255 of `channel` in a frame with `time` times the exposure of the
+    /// reference frame and with `noise`. Up to black they are 0, except for [`Weight::Uniform`].
     ///
     /// Except for [`Weight::Uniform`] and [`Weight::Noise`], weights grow with the square root of the exposure, because
     /// a longer frame has less noise. Weights proportional to the exposure would be right for photon noise only, and
@@ -81,7 +82,8 @@ impl Weight {
         })
     }
 
-    /// The weight of the middle code value, which stands for the frame.
+    /// Returns the weight of the middle code value: the weight of the frame as a whole, which scales the extra weights
+    /// e.
     pub(super) fn middle_weight(self, curve: &ResponseCurve, time: f64, noise: &Noise) -> f32 {
         match self {
             Weight::Uniform => 1.0,
@@ -98,7 +100,8 @@ fn within(weight: f64) -> f64 {
     weight.clamp(1e-30, 1e30)
 }
 
-/// Code values per neper of exposure at `code`: the inverse slope of g, from the code value `least` on.
+/// Returns the number of code values per neper of exposure around `code`: the inverse slope of g over [`REACH`] code
+/// values to either side, none of them below the code value `least`.
 fn certainty(g: &[f64; CODES], least: usize, code: usize) -> f64 {
     let (from, to) = (code.saturating_sub(REACH).max(least), (code + REACH).min(CODES - 1));
     (to - from) as f64 / (g[to] - g[from])
@@ -125,16 +128,16 @@ mod tests {
             assert!((1..128).all(|z| (w[z] - w[255 - z]).abs() < 1e-6 && w[z] >= w[z - 1]), "{weight:?}");
         }
         assert_eq!(table(Weight::Uniform, &srgb), [1.0; CODES]);
-        // By hand: 51 of 127.5.
+        // By hand: 51 / 127.5 = 0.4.
         assert!((table(Weight::Hat, &srgb)[51] - 0.4).abs() < 1e-6);
     }
 
     #[test]
     fn the_certainty_is_the_slope_of_the_response() {
-        // A camera that is linear: dZ / d ln X = X, so that certainty is proportional to the code.
+        // A linear camera: dZ / d ln X = X, so the certainty is proportional to the code value.
         let w = table(Weight::MannPicard, &ResponseCurve::linear());
         assert!((w[200] / w[100] - 2.0).abs() < 0.01, "{}", w[200] / w[100]);
-        // One that is logarithmic: the same everywhere.
+        // A logarithmic camera: the certainty is the same at every code value.
         let g = std::array::from_fn(|z| (z as f64 - 128.0) / 40.0);
         let w = table(Weight::MannPicard, &ResponseCurve::new([g; 3]).unwrap());
         assert!((1..255).all(|z| (w[z] - 1.0).abs() < 1e-6));

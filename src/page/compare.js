@@ -1,4 +1,4 @@
-// Before and after alignment, under a slider.
+// A slider between the pictures before and after alignment.
 for (const figure of document.querySelectorAll(".compare")) {
   const range = figure.querySelector("input");
   const stack = figure.querySelector(".stack");

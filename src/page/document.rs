@@ -69,10 +69,10 @@ fn details(page: &Page, report: &Report) -> String {
     parts.into_iter().filter_map(part).collect()
 }
 
-/// Returns the first and the last frame name, without extensions.
+/// Returns the names of the first and the last frame, without extensions, as the name of the bracket.
 fn bracket_name(report: &Report) -> String {
     let mut names: Vec<String> = report.frames.iter().map(|f| file_name(&f.path)).collect();
-    // Sorts 9 before 10.
+    // Shorter names come first, so that 9 comes before 10.
     names.sort_by_key(|name| (name.len(), name.clone()));
     let stem = |name: &String| name.rsplit_once('.').map_or_else(|| name.clone(), |(stem, _)| stem.to_owned());
     match (names.first(), names.last()) {

@@ -32,18 +32,23 @@ use pictures::overlays::{self, Local};
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Maximum number of pixels of the result, of all frames together, and of one frame. Smaller pictures keep their size.
+/// Largest number of pixels of the result on the page; a smaller result keeps its size.
 const RESULT_PIXELS: usize = 3_000_000;
+/// Largest number of pixels of all frames on the page together.
 const FRAMES_PIXELS: usize = 4_500_000;
+/// Largest number of pixels of one frame on the page; smaller frames keep their size.
 const FRAME_PIXELS: usize = 1_500_000;
-/// Maximum size in bytes of the result, and of all frames together; determines their JPEG quality.
+/// Largest number of bytes of the result on the page; determines its JPEG quality.
 const RESULT_BYTES: usize = 620_000;
+/// Largest number of bytes of all frames on the page together; determines their JPEG quality.
 const FRAMES_BYTES: usize = 720_000;
-/// Maximum long side in pixels of a drawing, and of the map of a frame's contribution.
+/// Largest long side of a drawing, in pixels.
 const DRAWING: usize = 480;
+/// Largest long side of the map of a frame's contribution, in pixels.
 const SHARE: usize = 360;
-/// JPEG quality of colour maps, and of small grey maps.
+/// JPEG quality of maps in colour.
 const FINE: u8 = 82;
+/// JPEG quality of small grey pictures and maps.
 const COARSE: u8 = 74;
 
 /// The colours of the frames from the shortest exposure to the longest: from violet to yellow, of rising lightness.
@@ -77,7 +82,7 @@ struct FramePage {
     /// The frame, cropped and aligned like the result; not aligned if the frame has no transform.
     photograph: Picture,
     evidence: Evidence,
-    /// Contribution to the result, 0..=1, and its map.
+    /// Contribution of the frame to the result, 0..=1, and the map of the contribution.
     share: Option<(f64, Picture)>,
 }
 
@@ -95,7 +100,7 @@ pub struct Developed<'a> {
 }
 
 impl Page {
-    /// Steps of the luminance histogram per stop.
+    /// Number of steps of the luminance histogram per stop.
     pub const PER_STOP: usize = 4;
 
     /// Creates an empty page that will be written to `path`.
@@ -193,8 +198,8 @@ impl Page {
     }
 }
 
-/// Returns the frames aligned and cropped to `region` of the reference, with their profiles; frames without a transform
-/// are not aligned.
+/// Returns the frames aligned, cropped to `region` of the reference and reduced, with their profiles; frames without a
+/// transform are not aligned.
 fn photographs(bracket: &Bracket, alignment: &Alignment, region: Rect) -> Result<Vec<Photograph>> {
     let most = (FRAMES_PIXELS / bracket.frames().len().max(1)).min(FRAME_PIXELS);
     let size = within_pixels((region.width(), region.height()), most);
@@ -220,7 +225,7 @@ fn frame_css(i: usize, count: usize) -> String {
     frame_colour(i, count).hex()
 }
 
-/// Mixes the colours of the frames by their contributions; black where there is none.
+/// Mixes the colours of the frames by their contributions; black where no frame contributes.
 fn mixed(shares: &[Share], count: usize) -> Plane<[u8; 3]> {
     let Some(first) = shares.first() else { return Plane::filled(1, 1, [0; 3]) };
     Plane::from_rows(first.cells.width(), first.cells.height(), |y, row: &mut [[u8; 3]]| {
@@ -248,7 +253,7 @@ mod tests {
         assert_eq!(frame_colour(2, 5), frame_colour(0, 1));
         let share = |frame: usize, v: f32| Share { frame, cells: Plane::filled(2, 1, v) };
         assert_eq!(mixed(&[share(0, 0.0), share(1, 1.0)], 2).at(1, 0), [240, 198, 52]);
-        // By hand: (116 + 240) / 2, (92 + 198) / 2, (176 + 52) / 2.
+        // The mean of the first and the last colour: (116 + 240) / 2, (92 + 198) / 2, (176 + 52) / 2.
         assert_eq!(mixed(&[share(0, 0.5), share(1, 0.5)], 2).at(0, 0), [178, 145, 114]);
     }
 }

@@ -8,24 +8,27 @@ use crate::draw::plot::{Axis, Plot};
 use crate::draw::svg::Area;
 use std::fmt::Write;
 
-/// Margins of a plot, in px.
+/// Margin to the left of a plot, in px.
 const LEFT: f64 = 46.0;
+/// Margin to the right of a plot, in px.
 const RIGHT: f64 = 12.0;
+/// Margin above a plot, in px.
 const ABOVE: f64 = 14.0;
+/// Margin below a plot, in px.
 const BELOW: f64 = 42.0;
 
 /// A plot under construction.
 #[derive(Debug, Clone)]
 pub(super) struct Figure {
     size: (f64, f64),
-    /// Height of the extra area below the plot, in px.
+    /// Height of an extra area between the plot and the labels of its x axis, in px.
     more: f64,
     plot: Plot,
     body: String,
 }
 
 impl Figure {
-    /// Creates a plot of `size` px, with an extra area of height `more` between plot and x axis labels.
+    /// Creates a plot of `size` px, with an extra area of height `more` between the plot and the labels of its x axis.
     pub fn new(size: (f64, f64), more: f64, x: Axis, y: Axis) -> Self {
         let (width, height) = (size.0 - LEFT - RIGHT, size.1 - ABOVE - BELOW - more);
         let plot = Plot { area: Area { x: LEFT, y: ABOVE, width, height }, x, y };

@@ -1,5 +1,6 @@
 "use strict";
-// The viewer: the result and the frames at the same place and zoom. The stage scrolls; what is larger than it is moved by scrolling.
+// The viewer: the result and the frames at the same position and zoom. A picture that is larger than the stage is moved
+// by scrolling the stage.
 const viewer = document.getElementById("viewer");
 const stage = viewer.querySelector(".stage");
 const canvas = viewer.querySelector(".canvas");
@@ -13,7 +14,7 @@ const cards = [...document.querySelectorAll(".card")];
 const layers = new Map();
 let lastFrame = null;
 
-// The picture of a frame, from its card, laid over the result when it is first asked for.
+// Returns the layer over the result that shows the picture of a frame, copied from its card when it is first needed.
 const frameLayer = (value) => {
   if (!layers.has(value)) {
     const photograph = cards[value].querySelector("img");
@@ -38,26 +39,27 @@ const show = async () => {
   if (gain) {
     const own = document.getElementById("gain-" + value);
     gain.src = own ? own.src : strongest;
-    // The reference has none: the others are compared with it.
+    // The reference has no gain, because the gains of the other frames are relative to it.
     gain.hidden = value !== "result" && !own;
   }
   tell();
 };
 
-// What the status line says: what is shown, and how large.
+// Writes the status line: the name of the picture that is shown, and its zoom.
 const tell = () => {
   const value = chosen("shown").value;
   const shown = value === "result" ? "Result" : cards[value].dataset.caption;
   shows.textContent = shown + " · " + Math.round(100 * scale()) + " %";
 };
 
-// Pixels of the screen for one of the picture.
+// Returns the pixels of the screen per pixel of the picture.
 const scale = () => canvas.clientWidth * devicePixelRatio / viewer.dataset.width;
 
-// The zoom that shows more than all of the picture does.
+// Returns the zoom of a click: 100 %, or 200 % if the fitted picture is nearly at 100 % already.
 const closer = () => scale() < 0.8 ? 1 : 2;
 
-// Sets the zoom, 0 for all of it, and keeps the place (x, y), of the picture, in the middle; where it was, if none is given.
+// Sets the zoom (0 fits the picture) and moves the point `place` of the picture (x and y from 0 to 1) to the middle; by
+// default the point that is in the middle already.
 const zoom = (value, place) => {
   const box = canvas.getBoundingClientRect();
   const outer = stage.getBoundingClientRect();
@@ -79,7 +81,7 @@ const step = (by) => {
   choose(all[(all.indexOf(chosen("shown")) + by + all.length) % all.length]);
 };
 
-// To the result, or back to the frame that was shown last.
+// Shows the result, or, if it is shown already, the frame that was shown last.
 const flip = () => {
   const reference = cards.findIndex((card) => card.classList.contains("reference"));
   const value = chosen("shown").value === "result" ? String(lastFrame ?? reference) : "result";
@@ -101,7 +103,8 @@ viewer.addEventListener("keydown", (event) => {
 for (const radio of radios("shown")) radio.addEventListener("change", show);
 for (const radio of radios("zoom")) radio.addEventListener("change", () => zoom(Number(radio.value)));
 
-// A mouse drags, as a finger does by itself; a click without a drag goes to 100 % at that place, and back.
+// Dragging with a mouse scrolls, as the browser does for a finger. A click without dragging zooms in at that point, or
+// back out.
 let drag = null;
 stage.addEventListener("pointerdown", (event) => {
   drag = { x: event.clientX, y: event.clientY, left: stage.scrollLeft, top: stage.scrollTop, moved: false };
@@ -120,7 +123,7 @@ stage.addEventListener("click", (event) => {
   zoom(stage.classList.contains("zoomed") ? 0 : closer(), place);
 });
 
-// Where something moved: there, larger, with the overlay.
+// The buttons of places where something moved zoom in there and switch the overlay on.
 for (const button of viewer.querySelectorAll(".places button")) {
   button.addEventListener("click", () => {
     viewer.querySelector("input[name=movement]").checked = true;
@@ -128,7 +131,7 @@ for (const button of viewer.querySelectorAll(".places button")) {
     zoom(closer(), [Number(button.dataset.x), Number(button.dataset.y)]);
   });
 }
-// A card's picture shows the frame in the viewer.
+// A click on the picture of a card shows its frame in the viewer.
 cards.forEach((card, i) => {
   card.querySelector("img").addEventListener("click", () => {
     choose(radios("shown").find((radio) => radio.value === String(i)));

@@ -1,9 +1,10 @@
 //! A camera's response from one or several brackets: load, align and correct each, pool their samples, save the curve
 //! and draw it.
 //!
-//! In: brackets, or folders of photographs, and [`Options`]. Out: response files, plots, and a [`CameraReport`].
-//! Cost: loading and aligning each bracket, one after the other; only its flat places are kept. Source: pooling as in
-//! `response::recover_from`: the response is the same in all brackets of a camera, and together they show more codes.
+//! In: brackets, or folders of photographs, and [`Options`]. Out: response files, plots, and a [`CameraReport`]. Cost:
+//! loading and aligning each bracket, one after the other; of each, only samples of flat places are kept. Source:
+//! pooling as in `response::recover_from`: the response is the same in all brackets of a camera, and together they show
+//! more codes.
 
 mod bracket_samples;
 mod folders;
@@ -27,7 +28,8 @@ use std::time::Instant;
 /// The version of the report's format: keys may be added, but are never removed.
 pub const SCHEMA: &str = "hdralign-response-report/1";
 
-/// Largest number of patches kept of all brackets together, with 72 bytes each, and equal numbers for each bracket.
+/// Largest number of patches that are kept of all brackets together, with an equal share for each bracket. A patch
+/// takes 72 bytes.
 pub const PATCHES: usize = 500_000;
 /// Number of places per channel in a plot.
 const DRAWN: usize = 600;
@@ -93,8 +95,8 @@ impl CameraReport {
 }
 
 impl Options {
-    /// Returns every file that a run on `images` writes; if none is given, a placeholder for the name from the
-    /// camera.
+    /// Returns every file that a run on `images` writes. If no file is given for the curve, a placeholder stands for
+    /// the file named after the camera.
     pub fn targets(&self, images: &[PathBuf]) -> Vec<Target> {
         let mut named = self.named();
         let is_beside = |image: &PathBuf| if image.is_dir() { image.join("response.json") } else { image.clone() };
@@ -122,12 +124,12 @@ pub fn run(images: &[PathBuf], options: &Options, watch: Watch) -> Result<Camera
     prepare(&brackets, options, watch)?.commit()
 }
 
-/// Recovers the response of the camera that took the photographs `brackets`, one list each. The files are not named
-/// yet. Of any number of brackets only the frames of one, and [`PATCHES`] patches, are in memory.
+/// Recovers the response of the camera that took `brackets`, each a list of photographs. The files do not have their
+/// final names yet. Only the frames of one bracket at a time, and [`PATCHES`] patches, are in memory.
 ///
 /// # Errors
-/// See [`Error`]; on an error there are no new files. [`Error::NoResponse`] if the brackets do not determine it, or
-/// if none can be used.
+/// See [`Error`]; on an error there are no new files. [`Error::NoResponse`] if the brackets do not determine the
+/// response, or if none can be used.
 pub fn prepare(brackets: &[Vec<PathBuf>], options: &Options, watch: Watch) -> Result<Prepared<CameraReport>> {
     in_pool(options.pipeline.threads, || {
         options.pipeline.align.validate()?;
@@ -178,16 +180,16 @@ pub fn prepare(brackets: &[Vec<PathBuf>], options: &Options, watch: Watch) -> Re
     })
 }
 
-/// Options that refer to single frames by number need a single bracket.
+/// Checks that options which apply to the frames of one bracket are not given with several.
 fn check_options(brackets: &[Vec<PathBuf>], options: &Options) -> Result<()> {
     let single = |option, reason: &str| Err(Error::Option { option, reason: reason.to_owned() });
     if brackets.len() > 1 && options.pipeline.load.ev.is_some() {
-        return single("-e", "it applies to one bracket, and there are several; use that bracket only");
+        return single("-e", "it applies to one bracket, but there are several; run the command on this bracket only");
     }
     if brackets.len() > 1 && matches!(options.pipeline.load.reference, ReferenceChoice::File(_)) {
         return single(
             "--reference",
-            "a file is in one bracket, and there are several; give a number, or omit the option",
+            "there are several brackets, and a file is in only one of them; give a number (the position in each bracket), or omit the option",
         );
     }
     Ok(())
@@ -200,8 +202,8 @@ fn check_names(photographs: &[PathBuf], options: &Options) -> Result<()> {
     write::check_targets(&options.named(), photographs, options.pipeline.write.overwrite)
 }
 
-/// Returns a path beside the first photograph, named after the camera: `Canon_EOS_5D.json`; `response.json` if it is
-/// not known.
+/// Returns a path beside the first photograph, named after the camera: `Canon_EOS_5D.json`; `response.json` if the
+/// camera is not known.
 fn default_output(photographs: &[PathBuf], saved: &SavedResponse) -> PathBuf {
     let name = saved.camera();
     let letter = |c: char| if c.is_alphanumeric() || matches!(c, '-' | '.' | '+') { c } else { '_' };

@@ -16,7 +16,7 @@ pub enum Crop {
     Common,
     /// All of the reference; fewer frames are merged where fewer cover it.
     None,
-    /// This part of it; fewer frames are merged where fewer cover it.
+    /// This part of the reference; fewer frames are merged where fewer cover it.
     Part(Rect),
 }
 
@@ -24,7 +24,7 @@ impl Crop {
     /// Checks that the part is inside the reference of `bracket`.
     ///
     /// # Errors
-    /// [`Error::Option`] if it is empty or extends beyond the reference.
+    /// [`Error::Option`] if the part is empty or extends beyond the reference.
     pub(super) fn check(self, bracket: &Bracket) -> Result<()> {
         let Crop::Part(Rect { x0, y0, x1, y1 }) = self else { return Ok(()) };
         let (width, height) = (bracket.width(), bracket.height());

@@ -8,7 +8,7 @@ use crate::error::{Error, Result};
 /// Maximum number of threads; more only cost memory.
 const MOST_THREADS: usize = 1024;
 
-/// Runs `work` on a pool of `threads` threads, or on the common one, which is started first.
+/// Runs `work` on a pool of `threads` threads; without a number, on the global pool, which is started if necessary.
 pub(super) fn in_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> Result<R> + Send) -> Result<R> {
     if threads.is_none() {
         start_threads()?;
@@ -16,7 +16,7 @@ pub(super) fn in_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> Re
     in_own_pool(threads, work)
 }
 
-/// Runs `work` on a pool of `threads` threads, or on the pool of the caller.
+/// Runs `work` on a pool of `threads` threads; without a number, on the pool of the caller.
 pub(super) fn in_own_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> Result<R> + Send) -> Result<R> {
     let Some(threads) = threads else { return work() };
     let refused = |reason: String| Error::Option { option: "--threads", reason };
@@ -45,7 +45,7 @@ pub fn start_threads() -> Result<()> {
         return Ok(());
     }
     match rayon::ThreadPoolBuilder::new().build_global() {
-        // There is no source if the pool exists already.
+        // If the pool exists already, the error has no source.
         Err(source) if std::error::Error::source(&source).is_some() => {
             let threads = std::thread::available_parallelism().map_or(1, usize::from);
             Err(Error::Threads { threads, source })

@@ -57,7 +57,8 @@ pub fn tonemap_file(input: &Path, options: &TonemapOptions, watch: Watch) -> Res
     in_pool(options.threads, || {
         options.operator.validate()?;
         options.write.check(&options.results()?)?;
-        // For a photograph `x.png` the error must not be about the default name of the result, which is the same.
+        // If the input is a photograph `x.png`, the default name of the result is `x.png`, too. The error must be about
+        // the input, not about this name.
         read::check(input)?;
         let targets = [Target::of("-o", &options.outputs), Target::of("--picture", &options.pictures)].concat();
         write::check_targets(&targets, &[input.to_owned()], options.write.overwrite)?;
@@ -72,7 +73,7 @@ pub fn tonemap_file(input: &Path, options: &TonemapOptions, watch: Watch) -> Res
     })
 }
 
-/// Writes the files of `options` from the `contents` of the file `input`; reading `began` at that time.
+/// Writes the files of `options` from the `contents` of the file `input`; `began` is the time at which reading began.
 fn tonemapped(
     input: &Path,
     contents: read::Contents,
@@ -105,7 +106,7 @@ fn tonemapped(
     report.time_s.tonemap = Some(since.elapsed().as_secs_f64());
     announce(watch, Stage::Write)?;
     let since = Instant::now();
-    // Headers name the program that wrote the file: this one.
+    // Headers name the program that writes the file, which is this one.
     let metadata = write::Metadata { software: write::Metadata::default().software, ..metadata };
     warnings.extend(options.write.picture.size.warning(size));
     let results = Results {

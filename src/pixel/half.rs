@@ -1,7 +1,8 @@
 //! Half floats (16 bits); values beyond the largest are clamped to it instead of becoming infinite.
 //!
-//! In: pixels. Out: planes of the nearest half floats, or of the low and high words of the floats. Cost: under 1 ns a value. Source: IEEE 754-2008,
-//! sections 3.6 and 4.3.1. The `half` crate rounds the same way, but overflows to infinity and loses small values to 0; the tests compare with it.
+//! In: pixels. Out: planes of the nearest half floats, or of the low and high words of the floats. Cost: under 1 ns a
+//! value. Source: IEEE 754-2008, sections 3.6 and 4.3.1. The `half` crate rounds the same way, but overflows to
+//! infinity and loses small values to 0; the tests compare with it.
 
 use crate::simd::{Loops, vectorised};
 
@@ -11,10 +12,10 @@ pub(crate) const HALF_MAX: f32 = 65504.0;
 /// The bits of [`HALF_MAX`] as a float.
 const MAX_BITS: u32 = HALF_MAX.to_bits();
 
-/// The bits of the half float nearest to `v`, ties to even (IEEE 754-2008, 4.3.1).
+/// Returns the bits of the half float nearest to `v`, ties to even (IEEE 754-2008, 4.3.1).
 ///
-/// Values beyond the largest half float become the largest. Values other than 0 below the smallest become the smallest, so that only black is 0. NaN
-/// becomes 0.
+/// Values beyond the largest half float, in magnitude, become the largest. Values other than 0 below the smallest
+/// become the smallest, so that only black is 0. NaN becomes 0.
 #[inline(always)]
 fn half_bits(v: f32) -> u16 {
     let bits = v.to_bits();
@@ -24,7 +25,8 @@ fn half_bits(v: f32) -> u16 {
     // 2^-14 and above, normal numbers: rebias the exponent by 127 - 15 and round off 13 bits of the mantissa.
     let rebiased = size.wrapping_sub(112 << 23);
     let normal = rebiased.wrapping_add(0xfff + ((rebiased >> 13) & 1)) >> 13;
-    // Subnormal numbers, in units of 2^-24: adding 1/2 to a float below 2^-14 leaves them in its last bits, rounded to nearest even.
+    // Subnormal numbers, in units of 2^-24: the sum of 1/2 and a float below 2^-14 has the number of units in its last
+    // bits, rounded to nearest even.
     let units = (f32::from_bits(size) + 0.5).to_bits().wrapping_sub(0.5f32.to_bits());
     let small = units.max(u32::from(size > 0));
     let finite = if size >= 0x3880_0000 { normal } else { small };
@@ -47,7 +49,7 @@ impl Loops for Halves<'_> {
         let (b, rest) = self.planes.split_at_mut(size);
         let (g, r) = rest.split_at_mut(size);
         let mut beyond = 0;
-        // Parts of this size stay in the cache, and their count fits a u32.
+        // Parts of 1024 pixels stay in the cache, and counts of their values fit a u32.
         let parts = self.pixels.chunks(1024).zip(b.chunks_mut(1024)).zip(g.chunks_mut(1024)).zip(r.chunks_mut(1024));
         for (((pixels, b), g), r) in parts {
             let mut over = 0u32;
@@ -67,13 +69,14 @@ impl Loops for Halves<'_> {
     }
 }
 
-/// Writes `pixels` as half floats to three planes, one after the other: all B, then G, then R. Returns the number of values that were beyond the largest
-/// half float or NaN.
+/// Writes `pixels` as half floats to three planes, one after the other: all B, then G, then R. Returns the number of
+/// values that were beyond the largest half float or NaN.
 pub(crate) fn planes_of_halves(pixels: &[[f32; 3]], planes: &mut [u16]) -> u64 {
     vectorised(Halves { pixels, planes })
 }
 
-/// Writes the floats of `pixels` to six planes: the low words of B, its high words, then the same for G and R.
+/// Writes the floats of `pixels` to six planes: the low 16-bit words of B, the high words of B, then the low and high
+/// words of G and of R.
 pub(crate) fn planes_of_floats(pixels: &[[f32; 3]], planes: &mut [u16]) {
     vectorised(Floats { pixels, planes });
 }
@@ -105,7 +108,8 @@ mod tests {
     use super::*;
     use ::exr::prelude::f16;
 
-    /// Compared with the `half` crate for every half float, every midpoint between two, and the floats next to it.
+    /// Compared with the `half` crate for every half float, every midpoint between two of them, and the floats next to
+    /// the midpoint.
     #[test]
     fn halves_are_rounded_by_the_standard() {
         for h in 0..0x7bffu16 {

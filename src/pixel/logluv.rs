@@ -1,9 +1,11 @@
-//! LogLuv pixels: the logarithm of luminance and a CIE 1976 (u', v') chromaticity in 24 or 32 bits, and the run-length coding of 32-bit pixels.
+//! LogLuv pixels: the logarithm of luminance and a CIE 1976 (u', v') chromaticity in 24 or 32 bits, and the run-length
+//! coding of 32-bit pixels.
 //!
-//! In: XYZ with grey at X = Y = Z, or the bytes of a row. Out: the other. Cost: 40 ns a pixel for the logarithm; decoding by table.
-//! Source: G. Ward Larson, "The LogLuv Encoding for Full Gamut, High Dynamic Range Images", JGT 3(1), 1998; libtiff's `tif_luv.c` and
-//! `uvcode.h` for details that the paper leaves open: truncation, byte order, and the squares of the 24-bit index. Unlike in libtiff
-//! nothing is dithered, so that the bytes are reproducible.
+//! In: XYZ with grey at X = Y = Z, or the bytes of a row. Out: the other of the two. Cost: 40 ns a pixel for the
+//! logarithm; decoding by table. Source: G. Ward Larson, "The LogLuv Encoding for Full Gamut, High Dynamic Range
+//! Images", JGT 3(1), 1998; libtiff's `tif_luv.c` and `uvcode.h` for details that the paper leaves open: truncation,
+//! byte order, and the squares of the 24-bit index. Unlike in libtiff nothing is dithered, so that the bytes are
+//! reproducible.
 
 use std::sync::LazyLock;
 
@@ -16,7 +18,8 @@ const NEUTRAL: [f64; 2] = [0.210526316, 0.473684211];
 /// Steps per unit of u' and v' in the 32-bit format.
 const UV_SCALE: f64 = 410.0;
 
-/// Rows of squares by increasing v': start of u' in millionths, number of squares, and number of rows with these values.
+/// Rows of squares by increasing v': start of u' in millionths, number of squares, and number of consecutive rows with
+/// these values.
 #[rustfmt::skip]
 const ROWS: [(u32, u16, u16); 82] = [
     (247663, 4, 1), (243779, 6, 1), (241684, 7, 1), (237874, 9, 1), (235906, 10, 1), (232153, 12, 1), (228352, 14, 1),
@@ -34,7 +37,7 @@ const ROWS: [(u32, u16, u16); 82] = [
     (4141, 62, 1), (5963, 55, 1), (8839, 47, 1), (10490, 40, 1), (16994, 31, 1), (23659, 21, 1),
 ];
 
-/// For each row: start of u', number of squares, and number of squares in the rows below.
+/// For each row: start of u', number of squares, and total number of squares in the rows of lower v'.
 static SQUARES: LazyLock<Vec<(f64, usize, usize)>> = LazyLock::new(|| {
     let rows =
         ROWS.iter().flat_map(|&(start, count, rows)| std::iter::repeat_n((start, usize::from(count)), rows.into()));
@@ -47,7 +50,7 @@ static SQUARES: LazyLock<Vec<(f64, usize, usize)>> = LazyLock::new(|| {
     .collect()
 });
 
-/// The index of the square that contains (u', v').
+/// Returns the index of the square that contains (u', v'); `None` where there is no square.
 fn square([u, v]: [f64; 2]) -> Option<usize> {
     let row = (v - V_START) / SQUARE;
     if row < 0.0 {
@@ -58,7 +61,8 @@ fn square([u, v]: [f64; 2]) -> Option<usize> {
     (column >= 0.0 && (column as usize) < count).then(|| below + column as usize)
 }
 
-/// The index for any chromaticity; one outside all squares is moved towards neutral until it is inside one.
+/// Returns the index for any chromaticity; a chromaticity outside all squares is moved towards neutral until it is
+/// inside a square.
 fn index(uv: [f64; 2]) -> usize {
     if let Some(index) = square(uv) {
         return index;
@@ -73,7 +77,7 @@ fn index(uv: [f64; 2]) -> usize {
     square(at(inside)).unwrap_or(0)
 }
 
-/// The centre of a square; neutral for an invalid index.
+/// Returns the centre of a square; neutral for an invalid index.
 fn middle(index: usize) -> [f64; 2] {
     let row = SQUARES.partition_point(|&(_, _, below)| below <= index).saturating_sub(1);
     let (start, count, below) = SQUARES[row];
@@ -83,13 +87,13 @@ fn middle(index: usize) -> [f64; 2] {
     [start + ((index - below) as f64 + 0.5) * SQUARE, V_START + (row as f64 + 0.5) * SQUARE]
 }
 
-/// (u', v') of XYZ; neutral when there is no light.
+/// Returns (u', v') of XYZ; neutral when there is no light.
 fn uv([x, y, z]: [f64; 3]) -> [f64; 2] {
     let sum = x + 15.0 * y + 3.0 * z;
     if sum > 0.0 { [4.0 * x / sum, 9.0 * y / sum] } else { NEUTRAL }
 }
 
-/// XYZ of a luminance and a chromaticity; black for luminances of 0 or below.
+/// Returns XYZ of a luminance and a chromaticity; black for luminances of 0 or below.
 fn xyz(luminance: f64, [u, v]: [f64; 2]) -> [f32; 3] {
     let s = 6.0 * u - 16.0 * v + 12.0;
     let (x, y) = (9.0 * u / s, 4.0 * v / s);
@@ -124,7 +128,8 @@ const RANGE24: (f64, f64) = (0.0002468, 15.742);
 /// Range of luminance of the 32-bit format.
 const RANGE32: (f64, f64) = (5.436e-20, 1.8371976e19);
 
-/// The code of a luminance: 0 below `range`, `largest` above it, and otherwise its logarithm from `-octaves` on in `steps` an octave.
+/// Returns the code of a luminance: 0 below `range`, `largest` above it, and otherwise the number of steps from
+/// -`octaves` to its log2, with `steps` per octave.
 fn logarithm(luminance: f64, range: (f64, f64), largest: u32, steps: f64, octaves: f64) -> u32 {
     match luminance {
         y if y >= range.1 => largest,
@@ -141,7 +146,7 @@ pub(crate) fn encode24(c: [f32; 3]) -> u32 {
     le << 14 | ce as u32
 }
 
-/// The centre of the XYZ values that [`encode24`] encodes as `code`; black for luminance 0.
+/// Returns the centre of the XYZ values that [`encode24`] encodes as `code`; black for luminance 0.
 pub(crate) fn decode24(code: u32) -> [f32; 3] {
     match code >> 14 & 0x3ff {
         0 => [0.0; 3],
@@ -157,22 +162,24 @@ pub(crate) fn encode32(c: [f32; 3]) -> u32 {
     le << 16 | ue << 8 | ve
 }
 
-/// The centre of the XYZ values that [`encode32`] encodes as `code`; black for luminances of 0 and below.
+/// Returns the centre of the XYZ values that [`encode32`] encodes as `code`; black for luminances of 0 and below.
 pub(crate) fn decode32(code: u32) -> [f32; 3] {
     let uv = [code >> 8 & 0xff, code & 0xff].map(|v| (f64::from(v) + 0.5) / UV_SCALE);
     xyz(luminance16(code >> 16), uv)
 }
 
-/// The luminance of 15 bits of logarithm, as in a grey LogL pixel; 0 for code 0 and for negative codes.
+/// Returns the luminance of a sign and 15 bits of logarithm, as in a grey LogL pixel; 0 for code 0 and for negative
+/// codes.
 pub(crate) fn luminance16(le: u32) -> f64 {
     if le == 0 || le & 0x8000 != 0 { 0.0 } else { libm::exp2((f64::from(le) + 0.5) / 256.0 - 64.0) }
 }
 
-/// Shortest run that is encoded as one.
+/// Minimum number of equal bytes that are encoded as a run.
 const MIN_RUN: usize = 4;
 
-/// Appends a row of 32-bit pixels: the first bytes of all pixels, then the second and so on, each run-length encoded. A run of n = 2..=129 equal bytes is
-/// stored as the count 126 + n and the byte. Up to m = 127 other bytes are stored as the count m and the bytes.
+/// Appends a row of 32-bit pixels: the first bytes of all pixels, then the second and so on, each run-length encoded. A
+/// run of n = 2..=129 equal bytes is stored as the count 126 + n and the byte. Up to m = 127 other bytes are stored as
+/// the count m and the bytes.
 pub(crate) fn put_row(row: &[u32], out: &mut Vec<u8>) {
     let mut plane = vec![0; row.len()];
     for shift in [24, 16, 8, 0] {
@@ -210,7 +217,8 @@ fn put_runs(bytes: &[u8], out: &mut Vec<u8>) {
     }
 }
 
-/// Decodes the next row from the front of `bytes`: pixels of four bytes, or of two when `planes` is 2 (grey). `None` when it is damaged or truncated.
+/// Decodes the next row from the front of `bytes`: pixels of four bytes, or of two when `planes` is 2 (grey). `None`
+/// when the row is damaged or truncated.
 pub(crate) fn take_row(bytes: &mut &[u8], row: &mut [u32], planes: u32) -> Option<()> {
     row.fill(0);
     for shift in (0..planes).rev().map(|p| 8 * p) {
@@ -244,8 +252,8 @@ mod tests {
         })
     }
 
-    /// Real chromaticities lie in the squares, and the centre of a square is within half a side, 0.00175, of every point in it; 1/64 octave is 1.09 % in
-    /// luminance.
+    /// A step of luminance is 1/64 octave or 1.09 %, so the decoded centre is within 0.55 %. The centre of a square is
+    /// within half a side, 0.00175, of every point in it, and real chromaticities lie in the squares.
     #[test]
     fn codes_of_24_bits_are_within_half_a_step() {
         assert_eq!(SQUARES.last().map(|&(_, count, below)| (SQUARES.len(), count + below)), Some((163, 16_289)));
@@ -269,7 +277,8 @@ mod tests {
         assert!(index([0.7, 0.1]) < 16_289 && index([-3.0, 9.0]) < 16_289);
     }
 
-    /// 1/256 octave is 0.27 %; half of 1/410 in u' and v'.
+    /// A step of luminance is 1/256 octave or 0.27 %, so the decoded centre is within 0.136 %. A step of u' and v' is
+    /// 1/410, so the centre is within 0.00122.
     #[test]
     fn codes_of_32_bits_are_within_half_a_step() {
         for c in colours() {
@@ -280,7 +289,8 @@ mod tests {
             let (a, b) = (uv(c), uv(back));
             assert!((0..2).all(|i| (a[i] - b[i]).abs() < 0.00123 || a[i] > 0.62), "{a:?} {b:?}");
         }
-        // XYZ (1, 1, 1) as libtiff codes it: 2^0 at 64 * 256, u' 0.2105 * 410, v' 0.4737 * 410.
+        // XYZ (1, 1, 1) as libtiff encodes it: luminance 2^0 as 64 * 256 = 16,384, u' as 0.2105 * 410 = 86, and v' as
+        // 0.4737 * 410 = 194.
         assert_eq!(encode32([1.0; 3]), 16_384 << 16 | 86 << 8 | 194);
         assert_eq!([decode32(0), decode32(0xffff_0000), decode32(encode32([0.0; 3]))], [[0.0; 3]; 3]);
         assert_eq!(encode32([f32::MAX; 3]) >> 16, 0x7fff);

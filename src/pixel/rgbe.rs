@@ -1,7 +1,8 @@
 //! RGBE: three 8-bit mantissas with a shared exponent, and the run-length coding of scanlines.
 //!
-//! In: linear RGB or the bytes of a scanline. Out: the other. Cost: a few ns a pixel. Source: G. Ward, "Real Pixels", Graphics Gems II
-//! (1991), section II.5, and the Radiance sources, `src/common/color.c` (`setcolr`, `colr_color`, `fwritecolrs`, `freadcolrs`).
+//! In: linear RGB or the bytes of a scanline. Out: the other of the two. Cost: a few ns a pixel. Source: G. Ward, "Real
+//! Pixels", Graphics Gems II (1991), section II.5, and the Radiance sources, `src/common/color.c` (`setcolr`,
+//! `colr_color`, `fwritecolrs`, `freadcolrs`).
 
 use crate::simd::{Loops, floor32, integer32, vectorised};
 
@@ -17,7 +18,8 @@ const SMALLEST: f32 = {
     if nearest as f64 <= 1e-32 { nearest } else { f32::from_bits(nearest.to_bits() - 1) }
 };
 
-/// Encodes a pixel as Ward's `setcolr` does, by truncation; also returns the number of components that were too large or NaN.
+/// Encodes a pixel as Ward's `setcolr` does, by truncation; also returns the number of components that were too large
+/// or NaN.
 ///
 /// Negative components and NaN become 0. A pixel whose largest component is not above 1e-32 becomes black.
 #[inline(always)]
@@ -28,7 +30,8 @@ pub(crate) fn encode(rgb: [f32; 3]) -> (Rgbe, u32) {
     let [r, g, b] = [(rgb[0], r), (rgb[1], g), (rgb[2], b)].map(|(given, c)| if given.is_nan() { 0.0 } else { c });
     let larger = |a: f32, b: f32| if a > b { a } else { b };
     let d = larger(larger(r, g), b);
-    // frexp: d = m 2^e with m in [1/2, 1). The exponent field of a float is biased by 127 for m in [1, 2). Above 1e-32 it is normal.
+    // As in frexp, d = m 2^e with m in [1/2, 1). The exponent field of a float is biased by 127 for m in [1, 2), so it
+    // is e + 126. Floats above 1e-32 are normal.
     let biased = d.to_bits() >> 23;
     // 2^(8 - e), which is normal for e from -106 to 127; for smaller e the pixel is black.
     let scale = f32::from_bits((261u32.wrapping_sub(biased) & 0xff) << 23);
@@ -38,7 +41,8 @@ pub(crate) fn encode(rgb: [f32; 3]) -> (Rgbe, u32) {
     ([mantissa(r), mantissa(g), mantissa(b), exponent], over[0] + over[1] + over[2])
 }
 
-/// Decodes a pixel to the centre of the interval that is truncated to it: (mantissa + 1/2) 2^(exponent - 128 - 8); 0 for exponent 0.
+/// Decodes a pixel to the centre of the interval that [`encode`] truncates to it: (mantissa + 1/2) 2^(exponent - 128 -
+/// 8); 0 for exponent 0.
 pub(crate) fn decode([r, g, b, e]: Rgbe) -> [f32; 3] {
     if e == 0 {
         return [0.0; 3];
@@ -47,7 +51,7 @@ pub(crate) fn decode([r, g, b, e]: Rgbe) -> [f32; 3] {
     [r, g, b].map(|m| (f32::from(m) + 0.5) * (1.0 / 256.0) * scale)
 }
 
-/// 2^n, exactly, for n from -149 to 127.
+/// Returns 2^n, exactly, for n from -149 to 127.
 fn pow2(n: i32) -> f32 {
     if n >= -126 { f32::from_bits(((n + 127) as u32) << 23) } else { f32::from_bits(1 << (n + 149)) }
 }
@@ -55,22 +59,23 @@ fn pow2(n: i32) -> f32 {
 /// Widths that can be run-length encoded; other scanlines are written flat.
 pub(crate) const RLE_WIDTHS: std::ops::RangeInclusive<usize> = 8..=32767;
 
-/// Shortest run that is encoded as one.
+/// Minimum number of equal bytes that are encoded as a run.
 const MIN_RUN: usize = 4;
 
 /// Encodes scanlines; holds the buffers.
 #[derive(Debug, Default)]
 pub(crate) struct Scanline {
-    /// The components, one after the other.
+    /// The bytes of a scanline by component: all of red, then of green, of blue, and the exponents.
     components: Vec<u8>,
-    /// Whether a run begins at each byte.
+    /// For each byte of a component, 1 if [`MIN_RUN`] equal bytes begin there, else 0.
     begins: Vec<u8>,
 }
 
 impl Scanline {
-    /// Appends the scanline of `pixels`, by components and run-length encoded if the width allows it, flat otherwise. Returns the number of values that
-    /// were too large or NaN. A flat pixel cannot be confused with the start of an encoded scanline, (2, 2, ..), or with a repetition, (1, 1, 1, n),
-    /// because the largest mantissa of a pixel other than black is at least 128.
+    /// Appends the scanline of `pixels`, by components and run-length encoded if the width allows it, flat otherwise.
+    /// Returns the number of values that were too large or NaN. A flat pixel cannot be confused with the start of an
+    /// encoded scanline, (2, 2, ..), or with a repetition, (1, 1, 1, n), because the largest mantissa of a pixel other
+    /// than black is at least 128.
     pub(crate) fn put(&mut self, pixels: &[[f32; 3]], out: &mut Vec<u8>) -> u64 {
         let width = pixels.len();
         self.components.resize(4 * width, 0);
@@ -97,7 +102,7 @@ struct Encode<'a> {
     components: &'a mut [u8],
 }
 
-/// Pixels whose channels are separated before they are encoded.
+/// Number of pixels whose channels are separated at a time, so that their encoding can be vectorised.
 const LANES: usize = 64;
 
 impl Loops for Encode<'_> {
@@ -152,7 +157,7 @@ impl Loops for Mark<'_> {
     }
 }
 
-/// The first position at or after `at` that is marked in `begins`.
+/// Returns the first position at or after `at` that is marked in `begins`.
 fn next_run(begins: &[u8], at: usize) -> Option<usize> {
     let from = begins.get(at..)?;
     let (eights, rest) = from.as_chunks::<8>();
@@ -162,19 +167,20 @@ fn next_run(begins: &[u8], at: usize) -> Option<usize> {
     }
 }
 
-/// `fwritecolrs` for one component: runs of 4 to 127 equal bytes as (128 + n, byte), the rest as (n, n bytes) with n up to 128.
+/// Encodes one component as `fwritecolrs` does: runs of n = 4 to 127 equal bytes as (128 + n, byte), the rest as (n, n
+/// bytes) with n up to 128.
 fn put_runs(bytes: &[u8], begins: &mut Vec<u8>, out: &mut Vec<u8>) {
     let len = bytes.len();
     begins.resize(len.saturating_sub(MIN_RUN - 1), 0);
     vectorised(Mark { bytes, begins });
     let mut at = 0;
     while at < len {
-        // The next run that is long enough: its start and its length; the length is 0 when there is none.
+        // Start and length of the next run of at least [`MIN_RUN`] bytes; the length is 0 when there is none.
         let (start, run) = match next_run(begins, at) {
             Some(start) => (start, bytes[start..].iter().take(127).take_while(|&&b| b == bytes[start]).count()),
             None => (len, 0),
         };
-        // Two or three equal bytes before it are cheaper as a short run.
+        // If only two or three bytes, all equal, come before that run, they are cheaper as a short run.
         if (2..MIN_RUN).contains(&(start - at)) && bytes[at..start].iter().all(|&b| b == bytes[at]) {
             out.extend_from_slice(&[128 + (start - at) as u8, bytes[at]]);
             at = start;
@@ -190,7 +196,8 @@ fn put_runs(bytes: &[u8], begins: &mut Vec<u8>, out: &mut Vec<u8>) {
     }
 }
 
-/// Decodes the next scanline from the front of `bytes`, in the new or the old encoding, or flat. `None` when it is damaged or truncated.
+/// Decodes the next scanline from the front of `bytes`, in the new or the old encoding, or flat. `None` when the
+/// scanline is damaged or truncated.
 pub(crate) fn take_row(bytes: &mut &[u8], row: &mut [Rgbe]) -> Option<()> {
     let width = row.len();
     if let Some(&[2, 2, high, low]) = bytes.first_chunk::<4>()
@@ -225,8 +232,8 @@ fn take_components(bytes: &mut &[u8], row: &mut [Rgbe]) -> Option<()> {
     Some(())
 }
 
-/// Decodes flat pixels and the old repetitions, (1, 1, 1, n) for n more of the previous pixel; the counts of consecutive
-/// repetitions are digits to base 256, lowest first.
+/// Decodes flat pixels and the old repetitions, (1, 1, 1, n) for n more of the previous pixel; the counts of
+/// consecutive repetitions are digits to base 256, lowest first.
 fn take_old(bytes: &mut &[u8], row: &mut [Rgbe]) -> Option<()> {
     let (mut at, mut shift) = (0, 0);
     while at < row.len() {
@@ -251,7 +258,7 @@ fn take_old(bytes: &mut &[u8], row: &mut [Rgbe]) -> Option<()> {
 mod tests {
     use super::*;
 
-    /// `setcolr` as printed, with frexp in doubles.
+    /// Ward's `setcolr` as printed, with frexp in doubles.
     fn setcolr(rgb: [f32; 3]) -> Rgbe {
         let d = f64::from(rgb[0].max(rgb[1]).max(rgb[2]));
         if d <= 1e-32 {
@@ -314,7 +321,7 @@ mod tests {
         }
     }
 
-    /// Complete rows, with pixels that do not fill the vector lanes.
+    /// Complete rows, also of widths that do not fill the vector lanes.
     #[test]
     fn rows_are_their_pixels() {
         let mut scanline = Scanline::default();

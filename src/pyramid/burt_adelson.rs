@@ -6,7 +6,7 @@
 
 use crate::plane::Plane;
 
-/// Number of levels of a pyramid whose coarsest level has a short side of at most 4 pixels.
+/// Returns the number of levels of a pyramid whose coarsest level is the first with a short side of at most 4 pixels.
 pub fn levels((width, height): (usize, usize)) -> usize {
     let mut side = width.min(height);
     let mut levels = 1;
@@ -17,7 +17,8 @@ pub fn levels((width, height): (usize, usize)) -> usize {
     levels
 }
 
-/// The next coarser level: smoothed by (1 4 6 4 1) / 16 along both axes, every second pixel; the border is repeated.
+/// Returns the next coarser level: every second pixel of `plane`, smoothed by (1 4 6 4 1) / 16 along both axes; the
+/// border is repeated.
 pub fn reduce(plane: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (plane.width(), plane.height());
     let (w, h) = (width.div_ceil(2), height.div_ceil(2));
@@ -40,7 +41,7 @@ pub fn reduce(plane: &Plane<f32>) -> Plane<f32> {
     coarse
 }
 
-/// `coarse` enlarged to the size of the level from which it was reduced.
+/// Returns `coarse`, enlarged to the size of the level from which [`reduce`] has computed it.
 pub fn expand(coarse: &Plane<f32>, (width, height): (usize, usize)) -> Plane<f32> {
     let mut fine = Plane::filled(width, height, 0.0f32);
     let (w, h) = (coarse.width(), coarse.height());
@@ -88,7 +89,7 @@ pub fn laplacian_pyramid(mut pyramid: Vec<Plane<f32>>) -> Vec<Plane<f32>> {
     pyramid
 }
 
-/// The image of a Laplacian pyramid; a plane without pixels for a pyramid without levels.
+/// Returns the image of a Laplacian pyramid; a plane without pixels for a pyramid without levels.
 pub fn collapse(mut pyramid: Vec<Plane<f32>>) -> Plane<f32> {
     let mut image = pyramid.pop().unwrap_or_else(|| Plane::filled(0, 0, 0.0));
     while let Some(mut level) = pyramid.pop() {
@@ -98,7 +99,8 @@ pub fn collapse(mut pyramid: Vec<Plane<f32>>) -> Plane<f32> {
     image
 }
 
-/// Changes every pixel of `level` by the same pixel of the enlarged next `coarser` level.
+/// Changes every pixel of `level` by the pixel at the same position of the next `coarser` level, enlarged to the same
+/// size.
 fn combine(level: &mut Plane<f32>, coarser: &Plane<f32>, change: impl Fn(&mut f32, f32)) {
     let smooth = expand(coarser, (level.width(), level.height()));
     level.as_mut_slice().iter_mut().zip(smooth.as_slice()).for_each(|(v, &s)| change(v, s));
@@ -116,7 +118,7 @@ mod tests {
         })
     }
 
-    /// Against the double sums of the paper. Ten roundings of values below 32: 10 * 32 * 2^-24 = 2e-5.
+    /// The tolerance is ten roundings of values below 32: 10 * 32 * 2^-24 = 2e-5.
     #[test]
     fn levels_are_the_double_sums_of_the_paper() {
         let weight = |d: isize| [0.0625, 0.25, 0.375, 0.25, 0.0625][(d + 2) as usize];

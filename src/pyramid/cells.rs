@@ -1,15 +1,17 @@
 //! Maps by cells, which are squares of pixels: interpolation between their centres, and sums over neighbours.
 //!
-//! In: a map with one value per cell. Out: its values at pixels, interpolated linearly between the centres of cells; sums
-//! around each cell. Cost: a few operations per pixel; 2 (2 reach + 1) per cell.
+//! In: a map with one value per cell. Out: its values at pixels, interpolated linearly between the centres of cells;
+//! sums around each cell. Cost: a few operations per pixel for the interpolation; 2 (2 reach + 1) per cell for the
+//! sums.
 
 use crate::plane::Plane;
 use std::ops::Range;
 
-/// The two of `count` cells between whose centres a pixel lies, and its position between them, 0..1.
+/// Returns the indices of the two of `count` cells between whose centres `pixel` lies, and its position between these
+/// centres, 0..1.
 ///
-/// Cells are `side` pixels long. Beyond the outer centres it is the outer cell alone. If `side` is a power of 2, the
-/// position is exact, also as `f32`.
+/// Cells are `side` pixels long. Beyond the centre of the first or the last cell, the position is 0, and so that cell
+/// alone counts. If `side` is a power of 2, the position is exact, also as `f32`.
 #[inline]
 pub fn between_cells(pixel: usize, side: usize, count: usize) -> (usize, usize, f64) {
     let at = ((pixel as f64 + 0.5) / side as f64 - 0.5).clamp(0.0, (count - 1) as f64);
@@ -50,10 +52,10 @@ pub fn row_between_cells<S: Copy, T: Mix>(map: &Plane<S>, side: usize, of: impl 
     }
 }
 
-/// Combines with `add` the values within `reach` of each position along both axes, first along the rows.
+/// For each position, combines with `add` the values within `reach` of it along both axes, first along the rows.
 ///
-/// It computes sums over squares, or with logical or, whether a value nearby is true. Positions beyond the border are
-/// skipped.
+/// If `add` is a sum, the results are sums over squares; if it is a logical or, whether any value nearby is true.
+/// Positions beyond the border are skipped.
 pub fn gathered<T: Copy + Default + Send + Sync>(
     plane: &Plane<T>,
     reach: usize,

@@ -54,7 +54,7 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
     let Some((layer, channels)) = chosen.or_else(grey) else {
         let names = layers.iter().flat_map(|layer| &layer.channel_data.list);
         let names: Vec<String> = names.take(8).map(|c| c.name.to_string()).collect();
-        return Err(format!("it has neither R, G and B nor Y, only {}", names.join(", ")));
+        return Err(format!("it needs the channels R, G and B, or Y, but has only {}", names.join(", ")));
     };
     if channels.iter().any(|c| c.sampling != Vec2(1, 1)) {
         return Err("its chroma channels are subsampled; convert it to RGB first".into());
@@ -121,23 +121,24 @@ fn check(meta: &MetaData, length: usize, limits: &Limits) -> Result<(), String> 
         let most = match header.compression {
             Compression::Uncompressed => 1,
             Compression::RLE => 64,
-            // PXR24 drops one byte of four; PIZ stores 255 repetitions of 2 bytes in 9 bits, which is less.
+            // PXR24 drops one byte of four; PIZ stores at best 255 repetitions of 2 bytes in 9 bits, a smaller factor
+            // than that of deflate.
             Compression::ZIP1 | Compression::ZIP16 | Compression::PIZ => DEFLATE,
             Compression::PXR24 => DEFLATE * 4 / 3,
             _ => u64::MAX,
         };
-        // Subsampled channels have a quarter of the values.
+        // Subsampled channels may have only a quarter of the values.
         limits::check_length(length, pixels * each / 4, most)?;
         blocks += header.chunk_count as u64;
         needed = needed.saturating_add(pixels.saturating_mul(each));
     }
-    // An entry in the table, and at least the number and the length of the block itself.
+    // Every block takes 8 bytes in the offset table, and at least 8 for its own position and length.
     limits::check_length(length, blocks.saturating_mul(8 + 8), 1)?;
     let pixels = meta.headers.iter().map(|h| h.layer_size.area() as u64).max().unwrap_or(0);
     limits.check_memory(size, needed.saturating_add(12 * pixels))
 }
 
-/// Blocks that are decompressed in parallel: enough for any number of threads, and some MB.
+/// Number of blocks that are decompressed in parallel: enough to occupy any number of threads, with some MB of memory.
 const AT_ONCE: usize = 64;
 
 /// Reads the headers and the parts of the file. The crate's own loop decompresses in threads that no other thread
@@ -180,10 +181,10 @@ fn colour(channels: &[Channel]) -> Option<[&Channel; 3]> {
     })
 }
 
-/// Returns Y for all three channels, if there is no chroma.
+/// Returns Y for all three channels or, if there is chroma, RY, Y and BY.
 fn luminance(channels: &[Channel]) -> Option<[&Channel; 3]> {
     let named = |name: &str| channels.iter().find(|c| c.name.to_string() == name);
-    // Chroma is recognised by its sampling and rejected.
+    // The caller recognises chroma by its sampling, and rejects the file.
     Some(match (named("Y")?, named("RY"), named("BY")) {
         (y, Some(ry), Some(by)) => [ry, y, by],
         (y, ..) => [y; 3],
@@ -219,7 +220,7 @@ fn unread(layers: &[Layer], layer: &Layer, chosen: [&Channel; 3]) -> Vec<String>
     found
 }
 
-/// Copies channel `c` of a row as floats, from value `at` on.
+/// Copies channel `c` of a row from `samples`, from index `at` on, as floats.
 fn fill(row: &mut [[f32; 3]], c: usize, samples: &FlatSamples, at: usize) {
     match samples {
         FlatSamples::F16(v) => row.iter_mut().zip(&v[at..]).for_each(|(p, v)| p[c] = v.to_f32()),

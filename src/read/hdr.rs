@@ -17,7 +17,7 @@ use crate::write::hdr::WHITE_EFFICACY;
 /// Reads the picture in the `bytes` of a `.hdr` file as stored, and its [`exposure_scale`](Metadata::exposure_scale):
 /// the product of its EXPOSURE lines, times 179 for XYZE, which is converted to RGB of BT.2020. Divided by the scale,
 /// pixels are in W/sr/m2. RGBE without PRIMARIES is assumed to be BT.709, because nearly every writer except Radiance
-/// uses it. Channels are divided by the product of the COLORCORR lines. Values may be 0, and negative in XYZE.
+/// uses BT.709. Channels are divided by the product of the COLORCORR lines. Values may be 0, and negative in XYZE.
 ///
 /// # Errors
 /// The reason, for other formats, damaged or truncated files, and files that exceed `limits`.
@@ -28,7 +28,7 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
     }
     let mut metadata = Metadata::default();
     let mut xyze = false;
-    // Factors by which red, green and blue, or X, Y and Z, were multiplied.
+    // Factors by which the stored red, green and blue, or X, Y and Z, were multiplied.
     let mut corrections = [Factor::ONE; 3];
     loop {
         let line = take_line(&mut rest).ok_or("it ends within its header; copy it again")?;
@@ -48,12 +48,15 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
             "EXPOSURE" => {
                 let factor = value.parse().ok().and_then(Factor::new);
                 let all = factor.and_then(|factor| metadata.exposure_scale.times(factor));
-                metadata.exposure_scale = all
-                    .ok_or_else(|| format!("its EXPOSURE is `{value}`, and the product must be from 1e-20 to 1e20"))?;
+                metadata.exposure_scale = all.ok_or_else(|| {
+                    format!(
+                        "its EXPOSURE is `{value}`; the product of all its EXPOSURE lines must be from 1e-20 to 1e20"
+                    )
+                })?;
             }
             "COLORCORR" => {
                 corrections = corrected(corrections, value).ok_or_else(|| {
-                    format!("its COLORCORR is `{value}`, and must be three factors from 1e-20 to 1e20")
+                    format!("its COLORCORR is `{value}`; three factors from 1e-20 to 1e20 are required")
                 })?;
             }
             "PRIMARIES" => metadata.primaries = primaries(value).ok_or("its PRIMARIES are not eight numbers")?,
@@ -79,8 +82,7 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
     let scan = take_line(&mut rest)
         .and_then(|l| Scan::parse(&l))
         .ok_or("its resolution line is not of the form `-Y height +X width` (either sign, in either order)")?;
-    // A scanline has at least 4 bytes (old run lengths, 8 pixels or more): check the claimed size before reserving
-    // memory.
+    // Every scanline takes at least 4 bytes, so the claimed size is checked before memory is reserved.
     if scan.lines.checked_mul(4).is_none_or(|least| least > rest.len()) || scan.length > 1 << 24 {
         return Err(format!("it is too short for {} lines of {} pixels; copy it again", scan.lines, scan.length));
     }
@@ -118,7 +120,8 @@ fn take_line(bytes: &mut &[u8]) -> Option<String> {
     Some(line)
 }
 
-/// Returns `factors`, each times one of the three in `text`.
+/// Returns `factors`, each multiplied by the factor at the same place in `text`; `None` if `text` does not have three
+/// valid factors.
 fn corrected(factors: [Factor; 3], text: &str) -> Option<[Factor; 3]> {
     let mut words = text.split_whitespace();
     let mut next = |factor: Factor| factor.times(Factor::new(words.next()?.parse().ok()?)?);
@@ -135,7 +138,7 @@ fn primaries(text: &str) -> Option<Primaries> {
     Some(Primaries { red: [rx, ry], green: [gx, gy], blue: [bx, by], white: [wx, wy] })
 }
 
-/// Order of the scanlines in the picture.
+/// Number, length and order of the scanlines.
 struct Scan {
     lines: usize,
     length: usize,
@@ -143,7 +146,7 @@ struct Scan {
 }
 
 impl Scan {
-    /// Parses the resolution: first the axis from line to line, then the one along a line. +X points to the right, +Y
+    /// Parses the resolution: first the axis from line to line, then the axis along a line. +X points to the right, +Y
     /// up.
     fn parse(line: &str) -> Option<Self> {
         let mut words = line.split_whitespace();
@@ -182,7 +185,8 @@ mod tests {
         std::fs::read(&path).unwrap()
     }
 
-    /// A pixel at (x, y) whose value is its position.
+    /// Reads a file of six pixels, each with its position (x, y) as its value; `line(i, j)` returns the position of
+    /// pixel j of line i.
     fn flat(scan: &str, line: impl Fn(usize, usize) -> (u8, u8)) -> Plane<[f32; 3]> {
         let mut bytes = format!("#?RADIANCE\n# a = b\nEXPOSURE=2\n\tEXPOSURE=9\nEXPOSURE= 4 \n\n{scan}\n").into_bytes();
         for i in 0..6 {
@@ -237,7 +241,7 @@ mod tests {
         let (corrected, scale) =
             pixels("COLORCORR= 2 1 .5\nEXPOSURE=4\nCOLORCORR=2 2 1\n\tCOLORCORR=9 9 9\n", "rgbe").unwrap();
         assert_eq!((corrected.at(0, 0), scale), ([a / 4.0, b / 2.0, c * 2.0], 4.0));
-        // X, Y and Z before the conversion to RGB: half of the light.
+        // X, Y and Z are divided before the conversion to RGB; three factors of 2 halve the light.
         let (plain, halved) = (pixels("", "xyze").unwrap().0, pixels("COLORCORR=2 2 2\n", "xyze").unwrap().0);
         assert_eq!(halved.as_slice(), plain.as_slice().iter().map(|p| p.map(|v| v / 2.0)).collect::<Vec<_>>());
         for wrong in ["1 2", "1 2 3 4", "1 0 1", "1 nan 1", "1e15 1 1\nCOLORCORR=1e15 1 1", "red"] {
@@ -245,8 +249,8 @@ mod tests {
         }
     }
 
-    /// Mantissas of XYZ are truncated to steps of at most 1/128 of the largest, and the matrix to RGB has terms up to
-    /// 1.7.
+    /// X, Y and Z of about 1 are decoded with errors of at most 1/256, half a step of the mantissa. The three terms of
+    /// each row of the matrix to RGB are up to 1.7, so the errors of RGB are at most 3 * 1.7 / 256 = 0.02.
     #[test]
     fn xyze_is_the_same_light() {
         let picture = Plane::filled(40, 3, [0.3, 1.2, 0.7]);

@@ -42,7 +42,7 @@ pub fn read(path: &Path) -> Result<(RadianceMap, Metadata)> {
 pub struct Contents {
     /// The radiance.
     pub map: RadianceMap,
-    /// The metadata of its headers.
+    /// The metadata in the headers of the file.
     pub metadata: Metadata,
     /// Names of what the file contains in addition and is not read: `alpha`, `channel Z`, `layer left`.
     pub unread: Vec<String>,
@@ -51,16 +51,14 @@ pub struct Contents {
 }
 
 impl Contents {
-    /// Combines the radiance `pixels` and the `metadata` of its headers, including the primaries. Primaries that span
+    /// Combines the radiance `pixels` and the `metadata` of the headers, including the primaries. Primaries that span
     /// no colour space are replaced, with a note.
     fn new(pixels: Plane<[f32; 3]>, mut metadata: Metadata) -> Self {
         let mut notes = Vec::new();
         if metadata.primaries.to_xyz().is_none() {
             metadata.primaries = Primaries::SRGB;
-            notes.push(
-                "its chromaticities lie on a line, so they define no colour space; those of BT.709 are assumed"
-                    .to_owned(),
-            );
+            notes
+                .push("its chromaticities lie on a line, so they define no colour space; BT.709 is assumed".to_owned());
         }
         let map = RadianceMap { pixels, primaries: metadata.primaries };
         Contents { map, metadata, unread: Vec::new(), notes }
@@ -118,8 +116,8 @@ pub fn check(path: &Path) -> Result<()> {
     Kind::of(path).map(|_| ())
 }
 
-/// Whether the file `path` is a radiance map, by its content; a TIFF within `limits` is one if it has floats or
-/// LogLuv.
+/// Whether the file `path` is a radiance map, by its content; a TIFF, which is read within `limits`, is a radiance map
+/// if it has floats or LogLuv.
 ///
 /// # Errors
 /// [`Error::Read`]; [`Error::Decode`] for a TIFF with a damaged directory.

@@ -7,11 +7,11 @@ use crate::plane::Plane;
 /// The order of stored lines.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Turn {
-    /// Stored lines are columns.
+    /// Whether stored lines are columns of the displayed picture.
     pub transposed: bool,
-    /// The first pixel is on the right.
+    /// Whether the first stored pixel is on the right of the displayed picture.
     pub mirrored: bool,
-    /// The first line is at the bottom.
+    /// Whether the first stored pixel is at the bottom of the displayed picture.
     pub flipped: bool,
 }
 

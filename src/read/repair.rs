@@ -1,7 +1,7 @@
-//! Repair: values of other programs that the later stages do not accept.
+//! Repair of values that other programs write and the later stages do not accept.
 //!
-//! In: a radiance map of any floats. Out: the same with every value positive and finite, and counts of the changes.
-//! Cost: two passes over the pixels.
+//! In: a radiance map of any floats. Out: the radiance map with every value positive and finite, and counts of the
+//! changes. Cost: two passes over the pixels.
 
 use crate::error::Warning;
 use crate::merge::radiance::gamut::{into_gamut, weights};
@@ -13,12 +13,12 @@ use std::path::Path;
 /// Counts of the changed pixels.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Repaired {
-    /// Pixels with NaN, which become black.
+    /// Number of pixels with NaN, which become black.
     pub not_numbers: usize,
-    /// Pixels with an infinite value, which become the largest finite value of the picture.
+    /// Number of pixels with an infinite value, which become the largest finite value of the picture.
     pub infinite: usize,
-    /// Pixels with a negative value, a colour outside of the primaries. They are desaturated at their luminance until
-    /// they are inside; black if the luminance is not positive.
+    /// Number of pixels with a negative value, a colour outside of the primaries. These pixels are desaturated at their
+    /// luminance until they are inside; black if the luminance is not positive.
     pub negative: usize,
 }
 

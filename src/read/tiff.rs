@@ -22,7 +22,7 @@ use std::path::Path;
 use tiff::decoder::{Decoder, DecodingResult, Limits as Buffers};
 use tiff::tags::{IfdPointer, Tag};
 
-/// The luminance of a stored 1 (libtiff's name for tag 37439).
+/// The tag for the luminance of a stored 1, in cd/m2 (StoNits is its name in libtiff).
 const STONITS: Tag = Tag::Unknown(37439);
 const WHITE_POINT: Tag = Tag::Unknown(318);
 const CHROMATICITIES: Tag = Tag::Unknown(319);
@@ -55,7 +55,7 @@ type Parsed<T> = std::result::Result<T, String>;
 type Bytes<'a> = Decoder<Cursor<&'a [u8]>>;
 
 /// Reads the picture in the `bytes` of a TIFF. LogLuv is multiplied by its StoNits and converted to RGB of BT.2020.
-/// Floats without chromaticities and profile are assumed to be BT.709. Values may be anything.
+/// Floats without chromaticities and profile are assumed to be BT.709. Values may be any floats.
 ///
 /// # Errors
 /// The reason, for damaged files, files with integers, and files that exceed `limits`.
@@ -71,13 +71,14 @@ pub fn parse(mut bytes: Vec<u8>, limits: &Limits) -> Parsed<Contents> {
     let samples = u64::from(decoder.find_tag_unsigned::<u16>(Tag::SamplesPerPixel).map_err(refusal)?.unwrap_or(1));
     let depths = decoder.find_tag_unsigned_vec::<u16>(Tag::BitsPerSample).map_err(refusal)?.unwrap_or_default();
     let stored = samples * u64::from(depths.first().copied().unwrap_or(1)).div_ceil(8);
-    // Samples other than colour and alpha are not used, and there may be 65535 per pixel.
+    // Samples other than colour and alpha are not used, and there may be up to 65535 samples per pixel.
     if samples > 8 {
         return Err(format!("it has {samples} samples per pixel; radiance has 3 or 1"));
     }
     let is_logluv = matches!(compression, 34676 | 34677);
     let unpacked = if is_logluv { 0 } else { pixels.saturating_mul(stored) };
-    // Rows of LogLuv are runs of 129 values in 2 bytes, for each of the 2 or 4 bytes of a pixel.
+    // At best, rows of LogLuv are runs of 129 values in 2 bytes, for each of the 2 or 4 bytes of a pixel; so a byte of
+    // the file stands for at most 65 pixels.
     let least = if is_logluv { pixels / 65 } else { unpacked };
     limits::check_length(bytes.len(), least, if is_logluv { 1 } else { limits::tiff_packing(compression) })?;
     let needed = unpacked + pixels * (4 * samples + 12) + bytes.len() as u64;
@@ -104,7 +105,7 @@ pub fn parse(mut bytes: Vec<u8>, limits: &Limits) -> Parsed<Contents> {
     let mut contents = Contents::new(pixels, metadata);
     contents.set_unit("StoNits", number(&mut decoder, STONITS));
     if let (true, Some(unit)) = (is_logluv, contents.metadata.cd_m2_per_unit) {
-        // With it the values are in cd/m2.
+        // Multiplied by StoNits, the values are in cd/m2.
         contents.metadata.cd_m2_per_unit = Some(Factor::ONE);
         contents.metadata.exposure_scale = Factor::ONE.over(unit).unwrap_or(Factor::ONE);
     }
@@ -116,7 +117,8 @@ pub fn parse(mut bytes: Vec<u8>, limits: &Limits) -> Parsed<Contents> {
     Ok(contents)
 }
 
-/// TIFF 6.0, section 8, Orientation: position of the first row and the first column.
+/// Returns the order of the stored lines for the tag Orientation, the position of the first row and the first column
+/// (TIFF 6.0, section 8).
 fn turn(orientation: u16) -> Turn {
     Turn {
         transposed: matches!(orientation, 5..=8),
@@ -229,7 +231,7 @@ fn exif(decoder: &mut Bytes, pointer: IfdPointer, metadata: &mut Metadata) {
     metadata.capture.lens = text(lens);
 }
 
-/// Returns the numbers of a tag of any type.
+/// Returns the numbers of a tag of any numeric type.
 fn numbers(decoder: &mut Bytes, tag: Tag) -> Option<Vec<f64>> {
     Some(fractions(decoder.find_tag(tag).ok()??))
 }
@@ -331,7 +333,8 @@ mod tests {
         assert!(parsed(codes).unwrap_err().contains("are integers"));
     }
 
-    /// TIFF 6.0's eight orientations of a 2 x 3 picture whose stored pixels are numbered by rows, written by hand.
+    /// TIFF 6.0's eight orientations of a 2 x 3 picture whose stored pixels are numbered by rows; the expected orders
+    /// are written by hand.
     #[test]
     fn orientations_are_those_of_the_standard() {
         let upright: [(u16, [u8; 6]); 8] = [

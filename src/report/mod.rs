@@ -1,7 +1,7 @@
 //! The report of a run: the processing of every frame and the results, for programs.
 //!
-//! In: the results of the stages. Out: JSON in a public format, with the version [`SCHEMA`] and units in the keys.
-//! Cost: negligible.
+//! In: the results of the stages. Out: JSON in a public format, with the version [`SCHEMA`] and units in the keys or in
+//! a `unit` beside them. Cost: negligible.
 
 pub mod options;
 pub mod tonemapped;
@@ -80,8 +80,8 @@ pub struct Report {
     pub calibration: Option<CalibrationReport>,
     /// Primaries of the radiance map; null if the frames were only aligned.
     pub colour: Option<ColourReport>,
-    /// The light that the picture shows as white; null for that of the photographs, and if the frames were only
-    /// aligned.
+    /// The light that the picture shows as white; null if it is the light of the photographs, or if the frames were
+    /// only aligned.
     pub white_balance: Option<Light>,
     /// Result of deghosting; null without deghosting.
     pub ghosts: Option<GhostReport>,
@@ -102,9 +102,9 @@ pub struct Crop {
     pub x_px: usize,
     /// Row of its upper edge.
     pub y_px: usize,
-    /// Its width.
+    /// Width of the rectangle.
     pub width_px: usize,
-    /// Its height.
+    /// Height of the rectangle.
     pub height_px: usize,
 }
 
@@ -130,7 +130,7 @@ impl From<Primaries> for ColourReport {
     }
 }
 
-/// A frame.
+/// The exposure and alignment of one frame.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FrameReport {
     /// The file, as the user named it.
@@ -139,14 +139,15 @@ pub struct FrameReport {
     pub time_s: Option<f64>,
     /// The f-number.
     pub f_number: Option<f64>,
-    /// Sensitivity.
+    /// ISO sensitivity.
     pub iso: Option<f64>,
-    /// t * ISO / N^2 in seconds, or 2^EV, with the correction: the frame is divided by it.
+    /// Relative exposure, with the correction, by which the frame is divided: t * ISO / N^2 in seconds, or 2^EV if EV
+    /// was given.
     pub relative_exposure: f64,
-    /// Correction from the pixels, in stops.
+    /// Correction of the exposure that was determined from the pixels, in stops.
     pub exposure_correction_stops: f64,
-    /// Standard deviation of an exposure that was estimated from the pixels, relative to the nearest known one; null
-    /// for others.
+    /// Standard deviation of an exposure that was estimated from the pixels, relative to the nearest known exposure;
+    /// null for exposures that were not estimated.
     pub exposure_uncertainty_stops: Option<f64>,
     /// Whether t, ISO and N are used as recorded, or as the exact steps from which they were rounded.
     pub exposure_reading: Reading,
@@ -161,11 +162,11 @@ pub struct FrameReport {
 /// The alignment of one frame.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct AlignmentReport {
-    /// Alignment status.
+    /// Whether and how the frame was aligned.
     pub status: Status,
-    /// What excluded the frame; null for a frame that is used.
+    /// What rejected or excluded the frame; null for a frame that is used.
     pub rejected_by: Option<RejectedBy>,
-    /// The smallest model that explains its motion.
+    /// The smallest model that explains the motion of the frame.
     pub model: Option<Model>,
     /// Nine numbers by rows, reference pixel -> frame pixel; null if the frame was rejected.
     pub homography: Option<[f64; 9]>,
@@ -184,7 +185,7 @@ pub struct AlignmentReport {
     pub confidence: f64,
     /// Share of the picture that the transform does not fit, 0..1, because of depth or movement; null if not measured.
     pub displaced_fraction: Option<f64>,
-    /// Median displacement of these parts, in px.
+    /// Median displacement of the parts that the transform does not fit, in px.
     pub displaced_px: Option<f64>,
     /// Why the frame was rejected, excluded or not moved, or how its transform was inferred.
     pub reason: Option<String>,
@@ -212,7 +213,7 @@ pub struct Times {
     pub load: Option<f64>,
     /// Alignment.
     pub align: Option<f64>,
-    /// The response.
+    /// Recovering the response.
     pub response: Option<f64>,
     /// Merging.
     pub merge: Option<f64>,
@@ -220,7 +221,7 @@ pub struct Times {
     pub tonemap: Option<f64>,
     /// Writing.
     pub write: Option<f64>,
-    /// Total.
+    /// The whole run.
     pub total: f64,
 }
 
@@ -261,17 +262,17 @@ impl Report {
 
     /// Returns the report as JSON with a final line feed.
     pub fn to_json(&self) -> String {
-        // Only strings, numbers and lists of them: conversion cannot fail. A number that is not finite would become
-        // null.
+        // The report contains only strings, numbers and lists of them, so the conversion cannot fail. A number that is
+        // not finite would become null.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }
 
-    /// Whether no merged frame moved.
+    /// Returns whether no merged frame moved.
     pub fn stood_still(&self) -> bool {
         self.frames.iter().filter_map(|frame| frame.alignment.model).all(|model| model == Model::Unmoved)
     }
 
-    /// Whether the result is degraded: with `--strict` the exit code is 3.
+    /// Returns whether the result is degraded, so that the exit code is 3 with `--strict`.
     pub fn is_degraded(&self) -> bool {
         self.warnings.iter().any(|w| w.degrades)
     }

@@ -10,7 +10,7 @@ use crate::tonemap::display::codes::Colours;
 use crate::tonemap::{Rendering, adjust};
 use serde::Serialize;
 
-/// The options of a run; all from `exposures` on are null if the frames were only aligned.
+/// The options of a run; `exposures` and all later fields are null if the frames were only aligned.
 #[doc(hidden)]
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct OptionsReport {
@@ -20,7 +20,7 @@ pub struct OptionsReport {
     pub robust: RobustMethod,
     /// Largest rotation searched with bitmaps, in degrees, in both directions.
     pub max_rotation_deg: f64,
-    /// Requested part of the reference: `common`, `none`, or `X,Y,WIDTH,HEIGHT` in its pixels.
+    /// Requested part of the reference: `common`, `none`, or `X,Y,WIDTH,HEIGHT` in pixels of the reference.
     pub crop: String,
     /// Exposure correction.
     pub exposures: Option<Exposures>,
@@ -39,7 +39,8 @@ pub struct OptionsReport {
     pub colour: Option<Space>,
     /// The tone mapping operator by name, with its parameters; null parameters are computed from the picture.
     pub operator: Option<Rendering>,
-    /// Adjustments of the picture: white balance as typed, brightness, contrast, saturation, shadows and highlights.
+    /// Adjustments of the picture: white balance as the user typed it, brightness, contrast, saturation, shadows and
+    /// highlights.
     pub adjust: Option<adjust::Options>,
     /// Bits per channel of the picture: 8 or 16.
     pub bit_depth: Option<u8>,

@@ -18,7 +18,7 @@ use std::path::Path;
 /// The version of the format: keys may be added, but are never removed.
 pub const SCHEMA: &str = "hdralign-tonemap/1";
 
-/// Inputs, processing and outputs of a tone mapping.
+/// The input, processing and outputs of a run of `tonemap`.
 #[doc(hidden)]
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TonemapReport {
@@ -28,22 +28,22 @@ pub struct TonemapReport {
     pub software: &'static str,
     /// The radiance map, as the user named it.
     pub input: String,
-    /// Its width.
+    /// Width of the radiance map.
     pub width_px: usize,
-    /// Its height.
+    /// Height of the radiance map.
     pub height_px: usize,
     /// The tone mapping operator by name, with its parameters; null parameters are computed from the picture.
     pub operator: Operator,
-    /// Adjustments of the picture, as typed.
+    /// Adjustments of the picture, as the user typed them.
     pub adjust: adjust::Options,
     /// The light that is shown as white; null for that of the radiance map.
     pub white_balance: Option<adjust::Light>,
     /// The primaries of the picture.
     pub colour: ColourReport,
-    /// The luminance of 1 in cd/m2, if the file has it (OpenEXR's whiteLuminance, TIFF's StoNits); otherwise null.
-    /// `.hdr` is in W/sr/m2.
+    /// The luminance of radiance 1 in cd/m2, if the file contains it (OpenEXR's whiteLuminance, TIFF's StoNits);
+    /// otherwise null. Radiance in `.hdr` files is in W/sr/m2.
     pub cd_m2_per_unit: Option<f64>,
-    /// Statistics of the luminance, as stored, without black pixels.
+    /// Statistics of the luminance as stored in the file, without black pixels.
     pub radiance: Statistics,
     /// Number of pixels with NaN; they are shown black.
     pub not_number_pixels: usize,
@@ -87,13 +87,13 @@ impl TonemapReport {
 
     /// Returns the report as JSON with a final line feed.
     pub fn to_json(&self) -> String {
-        // Only strings, numbers and lists of them: conversion cannot fail.
+        // The report contains only strings, numbers and lists of them, so the conversion cannot fail.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }
 }
 
-/// Returns the statistics of `map` without the black pixels of files by other programs: [`FLOOR`] replaces their
-/// zeros, and is not part of the scene. If all pixels are black, they are included.
+/// Returns the statistics of `map` without black pixels, which files by other programs contain: their zeros became
+/// [`FLOOR`], which is no radiance of the scene. If all pixels are black, they are included.
 fn measured(map: &RadianceMap, unit: Unit) -> Statistics {
     let weights = weights(&map.primaries);
     let is_lit = |pixel: &&[f32; 3]| pixel.iter().any(|&v| v > FLOOR);

@@ -11,10 +11,10 @@
 //! ```
 //!
 //! over g and all ln E_i, by a singular value decomposition of a matrix with a column for each unknown. Here each ln
-//! E_i is eliminated first, because it is only in the rows of its own place: a Householder reflection leaves one row
-//! fewer, orthogonal to its column. The singular value decomposition is applied to the remaining equations, in g
-//! only. So thousands of places need no more columns than dozens, and the condition is not squared. Five things
-//! differ from the paper:
+//! E_i is eliminated first, because it is only in the rows of its own place: a Householder reflection replaces these
+//! rows by one fewer, which do not contain ln E_i. The singular value decomposition is applied to the remaining
+//! equations, in g only. So thousands of places need no more columns than dozens, and the condition is not squared, as
+//! in normal equations. Five things differ from the paper:
 //!
 //! - Z_ij is the mean of a patch and is between two codes; g is interpolated linearly there.
 //! - The first sum is divided by the sum of its w^2, so that lambda has the same meaning for any number of samples
@@ -39,10 +39,10 @@ pub struct Options {
     /// Largest number of places for each channel; 24 or more.
     pub samples: usize,
     /// The weight lambda of smoothness relative to the mean square error of the samples; positive. On 130 rendered
-    /// brackets the default 30 has the error of 100 in the middle codes and two thirds of it at the ends. 10 follows
-    /// noise and waves, and so do weights derived from the residual of each bracket.
+    /// brackets the default of 30 has the same error as 100 in the middle codes, and two thirds of its error at the
+    /// ends. A weight of 10 follows noise and waves, and so do weights derived from the residual of each bracket.
     pub smoothness: f64,
-    /// Rounds in which contradicting samples lose their weight; 0 for plain least squares.
+    /// Number of rounds in which contradicting samples lose their weight; 0 for plain least squares.
     pub rounds: usize,
 }
 
@@ -133,7 +133,8 @@ mod tests {
         fit::finish(samples, super::channel(samples, options)?)
     }
 
-    /// gsolve.m of Debevec & Malik's appendix: all unknowns, g(0..=255) and ln E_i, in one matrix, solved by SVD.
+    /// Returns g by gsolve.m of Debevec & Malik's appendix: all unknowns, g(0..=255) and ln E_i, in one matrix, solved
+    /// by SVD.
     fn gsolve(z: &[Vec<usize>], b: &[f64], l: f64) -> Vec<f64> {
         let (n, unknowns) = (CODES, CODES + z.len());
         let rows = z.len() * b.len() + n - 1;
@@ -171,13 +172,13 @@ mod tests {
         let samples: Vec<Sample> =
             z.iter().map(|codes| Sample { views: codes.iter().zip(&b).map(view).collect() }).collect();
         let total: f64 = z.iter().flatten().map(|&code| hat(code as f64) * hat(code as f64)).sum();
-        // Both sums of the paper divided by the total weight: the program's lambda^2 is smoothness times the total
-        // weight.
+        // `solve` divides the first sum of equation 3 by the total weight, and `gsolve` does not: so the lambda^2 of
+        // `gsolve` is smoothness times the total weight.
         let smoothness = 0.7;
         let expected = gsolve(&z, &b, (smoothness * total).sqrt());
         let (g, _) = solve(&samples, &vec![1.0; samples.len()], smoothness, &Basis::values(), &[0.0; CODES]).unwrap();
-        // The condition is about 1e3: times 2e-16, with a margin for 256 terms and for the error of the original
-        // program.
+        // The error is the condition, about 1e3, times 2e-16, with a margin for 256 terms and for the error of the
+        // original program.
         for z in 0..CODES {
             assert!((g[z] - expected[z]).abs() < 1e-10, "code {z}: {} for {}", g[z], expected[z]);
         }
@@ -192,7 +193,7 @@ mod tests {
         // At code 10 the curve leaves sRGB's straight toe; the smoothness pulls it towards the toe.
         assert!(off < 0.05, "{off} {fit:?}");
         assert!(g.windows(2).all(|w| w[0] < w[1]) && g[MID] == 0.0);
-        // Log-like: 12 stops over the codes, of which the scene has those from 21.
+        // A logarithmic camera: 12 stops over all codes; the scene has the codes from 21 on.
         let log = scene(600, &times, |x| 1.0 + libm::log2(x.max(1e-9)) / 12.0);
         let (g, fit) = channel(&log, &Options::default()).unwrap();
         let off = difference_from(24, &g, |v| libm::exp2(12.0 * v));
@@ -207,7 +208,7 @@ mod tests {
         let within =
             |basis: &Basis| solve(&samples, &vec![1.0; samples.len()], 10.0, basis, srgb.ln_exposure(0)).unwrap().0;
         let (free, splines) = (within(&Basis::values()), within(&Basis::cubic()));
-        // A hundredth of the allowed error.
+        // A hundredth of the error that is allowed for a known curve.
         assert!(difference(&splines, |v| libm::exp(fit::at(&free, 255.0 * v))) < 0.0005);
     }
 
@@ -239,9 +240,9 @@ mod tests {
             difference(&channel(&samples, &options).unwrap().0, |v| libm::pow(v, 2.2))
         };
         let (plain, robust) = (bent(0), bent(3));
-        // An eighth of the places moved, and all became brighter. Motion within the noise cannot be detected, so a
-        // part of the error remains (0.083 of 0.211 stops, for any number of rounds). The test is of the ratio, not
-        // of an accuracy.
+        // In an eighth of the places something moved, and each of these became brighter. Motion within the noise cannot
+        // be detected, so a part of the error remains (0.083 of 0.211 stops, for any number of rounds). The test is of
+        // the ratio, not of an accuracy.
         assert!(robust < plain / 2.4, "{robust} and {plain} stops");
     }
 
@@ -259,10 +260,10 @@ mod tests {
         let gamma = |x: f64| libm::pow(x, 1.0 / 2.2);
         assert!(why(&scene(10, &[0.0, 2.0], gamma)).contains("flat places"));
         assert!(why(&scene(600, &[0.0, 0.0], gamma)).contains("0.00 stops"));
-        assert!(why(&scene(600, &[-1.0, 0.0], |x| 0.3 + 0.1 * x)).contains("codes from"));
-        // The same picture at exposures two stops apart: EXIF is wrong.
+        assert!(why(&scene(600, &[-1.0, 0.0], |x| 0.3 + 0.1 * x)).contains("pixel values from"));
+        // Exposures 0.1 stops apart that are recorded as 2 nepers apart: EXIF is wrong.
         let mut lie = scene(600, &[0.0, 0.1], gamma);
         lie.iter_mut().for_each(|s| s.views[1].ln_time = 2.0);
-        assert!(why(&lie).contains("stops from code 16 to code 240") || why(&lie).contains("contradict"));
+        assert!(why(&lie).contains("stops from pixel value 16 to 240") || why(&lie).contains("contradict"));
     }
 }

@@ -1,4 +1,5 @@
-//! Local processing: whether the camera tone-mapped the frames locally, so that they are not functions of exposure alone.
+//! Local processing: whether the camera tone-mapped the frames locally, so that they are not functions of exposure
+//! alone.
 //!
 //! In: the flat places of a bracket. Out: [`Evidence`]: which fraction of an exposure step reaches the frames, and
 //! how much the ratio of two frames varies over the picture at the same code. Cost: some milliseconds for any size.
@@ -11,7 +12,7 @@
 //!    (Grossberg & Nayar 2004) are 0.8 to 2.2 times the true ones (median over a picture); those of 14 photographed
 //!    brackets of six cameras are 1.0 to 1.7 times.
 //! 2. Places with equal codes in the shorter frame differ in the longer one, depending on their position in the
-//!    picture. Noise has this effect too, but neighbours are independent; motion has it only in few places.
+//!    picture. Noise has this effect too, but is independent between neighbours; motion has it only in few places.
 
 use super::ResponseCurve;
 use super::samples::{Places, Step};
@@ -22,15 +23,16 @@ use crate::statistics::{MEDIAN_DEVIATION, median};
 const STEP: f64 = 0.9;
 /// Range of codes that are evaluated: rounding and the camera's toe dominate below, its shoulder above.
 const RANGE: (f64, f64) = (8.0, 247.0);
-/// Smallest number of places of a pair of frames.
+/// Smallest number of places from which a pair of frames is evaluated.
 const FEWEST: usize = 60;
-/// Places of about equal brightness per block; their median ratio is the function of exposure.
+/// Number of places in a block of about equal brightness; the median ratio of each block is the part that depends on
+/// exposure alone.
 const BLOCK: usize = 40;
-/// Neighbourhoods along the longer side of the picture.
+/// Number of neighbourhoods along the longer side of the picture.
 const NEIGHBOURHOODS: usize = 24;
 /// Reach of Tukey's biweight in robust standard deviations: places beyond it show motion.
 const REACH: f64 = 4.685;
-/// Frames are locally processed if their variation over the picture, in stops, exceeds LOCAL * f^5, where f is the
+/// Frames are locally processed if their variation over the picture, in stops, exceeds LOCAL * f^POWER, where f is the
 /// fraction of the nominal exposure step that is found in the pixels. The limit is measured: variation / f^5 was at
 /// most 0.023 on 301 rendered brackets without local processing (truth.py) and at most 0.032 on 15 photographed ones,
 /// among them motion, mist, film and flash (0.056 on one of water). It was 0.061 or more on 49 of 52 brackets of
@@ -39,15 +41,15 @@ const REACH: f64 = 4.685;
 /// only by little.
 const LOCAL: f64 = 0.04;
 const POWER: f64 = 5.0;
-/// Frames that differ by more than this fraction of an exposure step were not compressed, whatever else varies. The
-/// fraction was 0.40 to 1.02 on 24 brackets of phones (truth.py), and 1.17 to 1.59 on six photographed ones, because
-/// camera curves are steeper than sRGB's. Water and moving lights had variations of 0.48 stops.
+/// Frames that differ by more than this fraction of an exposure step were not compressed, whatever their variation over
+/// the picture. The fraction was 0.40 to 1.02 on 24 brackets of phones (truth.py), and 1.17 to 1.59 on six photographed
+/// ones, because camera curves are steeper than sRGB's. Water and moving lights had variations of 0.48 stops.
 const COMPRESSED: f64 = 1.2;
-/// Standard errors that are subtracted from a variance, because neighbours are correlated by more than noise.
+/// Number of standard errors that are subtracted from a variance, because neighbours are correlated by more than noise.
 const ERRORS: f64 = 4.0;
-/// Brightness levels. The level with the least compression is assumed to have the full exposure step, because tone
-/// mapping compresses and never expands. On 12 rendered brackets this improves details by 0.4 dB compared with the
-/// fraction that 5 % of all places exceed.
+/// Number of brightness levels. The level with the least compression is assumed to have the full exposure step, because
+/// tone mapping compresses and never expands. On 12 rendered brackets this improves details by 0.4 dB compared with
+/// assuming that the fraction which 5 % of all places exceed is the full step.
 const LEVELS: usize = 8;
 
 /// Evidence of local processing in flat places.
@@ -55,17 +57,17 @@ const LEVELS: usize = 8;
 pub struct Evidence {
     /// Median fraction of an exposure step by which frames differ, under the sRGB curve.
     pub step_fraction: f64,
-    /// Median fraction at the brightness where it is largest, in the places that are processed least.
+    /// The same median at the brightness level where it is largest, because places there are compressed least.
     pub most_step_fraction: f64,
-    /// Standard deviation over neighbourhoods of the ratio of two frames at the same code, in stops, of the pair of
-    /// frames with the largest; 0 if noise explains it.
+    /// Standard deviation, over the neighbourhoods of the picture, of the ratio of two frames at the same code, in
+    /// stops. It is that of the pair of frames for which it is largest; 0 if noise explains it.
     pub variation_stops: f64,
     /// Whether the frames are locally processed.
     pub is_local: bool,
 }
 
-/// Evaluates the `places` of a bracket whose frames have a longer side of `longer_side` pixels. Returns `None` if
-/// there are too few.
+/// Evaluates the `places` of a bracket whose frames have a longer side of `longer_side` pixels. Returns `None` if there
+/// are too few places.
 pub fn evidence(places: &Places, longer_side: usize) -> Option<Evidence> {
     let srgb = ResponseCurve::srgb();
     let level = |code: f64| stops(fit::at(srgb.ln_exposure(0), code));
@@ -107,9 +109,9 @@ pub fn evidence(places: &Places, longer_side: usize) -> Option<Evidence> {
 struct Ratio {
     at: (usize, usize),
     channel: usize,
-    /// Mean logarithm of the two, in stops.
+    /// Mean of the two logarithms of exposure by the sRGB curve, in stops.
     level: f64,
-    /// Longer over shorter, in stops.
+    /// Logarithm of the ratio of the longer to the shorter frame, in stops.
     stops: f64,
 }
 
@@ -123,7 +125,7 @@ fn variation(ratios: &[Ratio], side: usize) -> Option<f64> {
         let usual = medians(&of, (of.len() / BLOCK).clamp(1, CODES));
         residuals.extend(of.iter().map(|ratio| (ratio.at, ratio.stops - between(&usual, ratio.level))));
     }
-    // The channels of a place are kept together.
+    // A place has one value: the median of its channels.
     residuals.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
     let mut places: Vec<((usize, usize), f64)> =
         residuals.chunk_by(|a, b| a.0 == b.0).map(|all| (all[0].0, all[all.len() / 2].1)).collect();
@@ -149,13 +151,13 @@ fn variation(ratios: &[Ratio], side: usize) -> Option<f64> {
         return None;
     }
     // If the values are independent, the variance of the mean product is the sum of the squared products over the
-    // squared number of pairs, each counted once. The mean noise would be too low a bound, because dark places are
-    // noisier and close to each other.
+    // squared number of pairs, with each pair counted once. Computed from the mean noise, it would be too low, because
+    // dark places are noisier and close to each other.
     let error = (spread / 2.0).max(0.0).sqrt() / (pairs / 2.0);
     Some((products / pairs - ERRORS * error).max(0.0).sqrt())
 }
 
-/// Returns level and median ratio of `blocks` blocks of places, sorted by level.
+/// Sorted places are divided into `blocks` blocks. Returns the level and the median ratio of each.
 fn medians(sorted: &[&Ratio], blocks: usize) -> Vec<(f64, f64)> {
     let size = sorted.len().div_ceil(blocks).max(1);
     let of = |block: &[&Ratio]| Some((block[block.len() / 2].level, median(block.iter().map(|ratio| ratio.stops))?));

@@ -32,15 +32,15 @@ use std::ops::RangeInclusive;
 
 /// Degrees that are tried.
 const DEGREES: RangeInclusive<usize> = 3..=10;
-/// Chebyshev polynomials up to the highest degree.
+/// Values of the Chebyshev polynomials T_0 to T_10 at a code.
 type Terms = [f64; 11];
-/// A higher degree must reduce the error to less than this fraction.
+/// A higher degree is used if it reduces the error to less than this fraction.
 const BETTER: f64 = 0.98;
 /// Smallest slope of ln f per code that a response has, from code 10 to 245: a tenth of sRGB's smallest. A polynomial
 /// with a smaller slope follows what equal exposure steps do not determine, and not the camera.
 const RISE: f64 = 1e-3;
-/// Estimated ratios must reduce the error to less than this fraction, because f and R can drift together and fit as
-/// well as before.
+/// Estimated ratios are used if they reduce the error to less than this fraction, because f and R can drift together
+/// and fit as well as before.
 const REFINED: f64 = 0.8;
 /// Largest number of alternations of f and R, and the number of them before R is estimated.
 const ROUNDS: (usize, usize) = (20, 2);
@@ -48,7 +48,7 @@ const ROUNDS: (usize, usize) = (20, 2);
 const STAYS: f64 = 1e-4;
 /// Smallest f, so that it has a logarithm: code 0 of the sRGB curve has 1/1000 of code 128.
 const LEAST: f64 = 1e-5;
-/// Range of the power between given and estimated exposures; no camera is outside of it.
+/// Range of the power that turns given exposure ratios into estimated ones; no camera is outside of it.
 const POWER: RangeInclusive<f64> = 0.5..=2.0;
 
 /// Options of the fit.
@@ -82,13 +82,13 @@ impl Options {
     }
 }
 
-/// Two consecutive exposures and their ratio by the curve.
+/// Two consecutive exposures, and their ratio according to the curve.
 #[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ratio {
     /// ln dt of the shorter and of the longer exposure, before they are corrected.
     pub ln_times: (f64, f64),
-    /// ln of longer over shorter, as estimated.
+    /// ln of the ratio of the longer to the shorter exposure, as estimated.
     pub ln_ratio: f64,
     /// Sum of the weights of the places.
     pub weight: f64,
@@ -120,7 +120,7 @@ pub(super) fn channel(samples: &[Sample], options: &Options) -> Fitted<(Found, V
     Ok((Found { g, trust, condition: Some(condition), degree: Some(degree) }, ratios))
 }
 
-/// f of one degree.
+/// The curve f that was fitted with one degree, as g = ln f, and its ratios.
 struct Polynomial {
     g: [f64; CODES],
     trust: Vec<f64>,
@@ -145,7 +145,7 @@ struct Pair {
     ratio: usize,
     shorter: View,
     longer: View,
-    /// The terms of both codes.
+    /// Chebyshev polynomials at the codes of `shorter` and `longer`.
     terms: (Terms, Terms),
     weight: f64,
 }
@@ -210,7 +210,9 @@ impl Pairs {
         }
         let power = if refined { both / given } else { 1.0 };
         if !POWER.contains(&power) {
-            return Err(format!("the estimated exposures are the power {power:.2} of the given ones"));
+            return Err(format!(
+                "the estimated exposures are the given ones to the power of {power:.2}, which is too far from 1"
+            ));
         }
         let error = error / power;
         let g = f.map(|v| libm::log(v) / power);
@@ -242,7 +244,7 @@ impl Pairs {
         Ok((std::iter::once(first).chain(found).collect(), condition))
     }
 
-    /// ln f(longer) - ln f(shorter) of a pair.
+    /// Returns ln f(longer) - ln f(shorter) of a pair.
     fn step(pair: &Pair, f: &[f64; CODES]) -> f64 {
         libm::log(fit::at(f, pair.longer.code) / fit::at(f, pair.shorter.code))
     }
@@ -276,7 +278,7 @@ impl Pairs {
     }
 }
 
-/// Chebyshev polynomials T_0, T_1, ... of a code, -1 to 1 over the codes.
+/// Returns the Chebyshev polynomials T_0, T_1, ... at a code; codes 0..=255 are mapped to -1..=1.
 fn chebyshev(code: f64) -> Terms {
     let x = code / 127.5 - 1.0;
     let mut t = [1.0; 11];
@@ -337,8 +339,8 @@ mod tests {
         let (found, ratios) = channel(&samples, &Options::default()).unwrap();
         let stops =
             |i: usize| ratios.iter().find(|r| r.ln_times.0 == [-2.0 * LN_2, said * LN_2][i]).unwrap().ln_ratio / LN_2;
-        // 2.2 and 1.8 were given; 2 and 2 are true. The power of the ratios, which only the given ones determine, has
-        // an error of 2 %.
+        // Ratios of 2.2 and 1.8 stops were given; 2 and 2 are true. The sum of both is not tested: the power of the
+        // ratios, which only the given ones determine, has an error of 2 %.
         assert!((stops(0) - stops(1)).abs() < 0.05, "{} {}", stops(0), stops(1));
         let (g, _) = fit::finish(&samples, found).unwrap();
         assert!(difference(&g, |v| libm::pow(v, 2.2)) < 0.08);

@@ -31,17 +31,18 @@ use samples::{Places, Sample};
 use serde::Serialize;
 use std::f64::consts::LN_2;
 
-/// Code values of a curve: 0..=255, for frames of any depth.
+/// Number of code values of a curve: 0..=255, for frames of any depth.
 pub const CODES: usize = 256;
 
 /// The code whose exposure is 1, so that g is 0 there.
 pub const MID: usize = 128;
 
-/// Exposure of code 0 relative to code 1. Rounding puts it anywhere below one half, so its mean is a quarter. No
-/// sample determines it, and a smaller value would make dark specks of values that are only rounded down.
+/// Exposure of code 0 relative to code 1. Rounding gives code 0 to all exposures below half of that of code 1;
+/// their mean is a quarter. No sample determines it, and a smaller value would turn values that are only rounded down
+/// into dark specks.
 const BLACK: f64 = 1.0 / 4.0;
 
-/// Below and above these codes the curves of the channels are parallel.
+/// The curves of the three channels are made parallel below the first and above the second of these codes.
 const ENDS: (usize, usize) = (12, 243);
 
 /// Debevec & Malik's hat w (1997, equation 4) scaled to 0..=1: 0 at codes 0 and 255, 1 halfway between.
@@ -49,8 +50,8 @@ pub fn hat(code: f64) -> f64 {
     (code.min(255.0 - code) / 127.5).max(0.0)
 }
 
-/// g(Z) = ln(E dt), the logarithm of the exposure that gives code Z, for R, G and B at codes 0..=255: finite and
-/// strictly increasing.
+/// g(Z) = ln(E dt), the logarithm of the exposure that gives code Z, for R, G and B at codes 0..=255. All values are
+/// finite, and strictly increasing with the code.
 ///
 /// Exposure is relative: the mean of g over the three channels is 0 at code [`MID`]. Between codes the exposure
 /// exp(g) is interpolated linearly.
@@ -73,7 +74,7 @@ impl ResponseCurve {
         })
     }
 
-    /// Returns the same curve for a camera that is black up to these codes of R, G and B, or `None` if one is not in
+    /// Returns the same curve for a camera that is black up to these codes of R, G and B, or `None` if a code is not in
     /// 0..128.
     pub fn with_black(self, black: [f64; 3]) -> Option<Self> {
         let sound = black.iter().all(|code| (0.0..128.0).contains(code));
@@ -95,8 +96,8 @@ impl ResponseCurve {
         Self::stated(srgb_to_linear)
     }
 
-    /// Returns the same curve for all channels: `exposure` of a code on the scale 0..=1, which must be positive and
-    /// increase above 0.
+    /// Returns a curve that is the same for all channels. `exposure` is the exposure of a code on the scale 0..=1; it
+    /// must be positive above 0 and increase.
     fn stated(exposure: impl Fn(f64) -> f64) -> Self {
         let at = |code: usize| match code {
             0 => BLACK * exposure(1.0 / 255.0),
@@ -135,8 +136,8 @@ impl ResponseCurve {
         (above - 1) as f32 + part
     }
 
-    /// Shifts the channels relative to each other until the w-weighted mean over all codes is the same in each, and
-    /// all three until their mean at code [`MID`] is 0.
+    /// Shifts the channels of `g` relative to each other until the mean over all codes, weighted by [`hat`], is the
+    /// same in each, and then all three by one amount, so that their mean at code [`MID`] is 0.
     fn neutralised(mut g: [[f64; CODES]; 3]) -> [[f64; CODES]; 3] {
         let weight: f64 = (0..CODES).map(|z| hat(z as f64)).sum();
         for channel in &mut g {
@@ -153,15 +154,15 @@ impl ResponseCurve {
 #[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
 #[strum(serialize_all = "kebab-case")]
 pub enum ResponseModel {
-    /// From the bracket: Debevec & Malik 1997.
+    /// Recovered from the bracket: Debevec & Malik 1997.
     Debevec(debevec::Options),
-    /// From the bracket: Robertson, Borman & Stevenson 2003.
+    /// Recovered from the bracket: Robertson, Borman & Stevenson 2003.
     Robertson(robertson::Options),
-    /// From the bracket, as a polynomial: Mitsunaga & Nayar 1999.
+    /// Recovered from the bracket, as a polynomial: Mitsunaga & Nayar 1999.
     MitsunagaNayar(mitsunaga_nayar::Options),
-    /// Code values proportional to the exposure.
+    /// Not recovered: pixel values proportional to the light, as in linear TIFFs.
     Linear,
-    /// The sRGB transfer function.
+    /// Not recovered: the sRGB transfer function.
     Srgb,
 }
 
@@ -203,9 +204,9 @@ pub struct ResponseReport {
 pub struct RatioReport {
     /// The shorter and the longer exposure relative to the reference, in stops.
     pub between_stops: (f64, f64),
-    /// Longer over shorter, as given, in stops.
+    /// Ratio of the longer to the shorter exposure, as given, in stops.
     pub given_stops: f64,
-    /// Longer over shorter, as estimated from the pixels, in stops.
+    /// Ratio of the longer to the shorter exposure, as estimated from the pixels, in stops.
     pub found_stops: f64,
 }
 
@@ -221,8 +222,8 @@ pub struct Fit {
     pub residual_stops: f64,
     /// Smallest and largest code of the samples.
     pub codes: (f64, f64),
-    /// Ratio of the largest to the smallest singular value of the system of equations; null for Robertson, which does
-    /// not solve one, and for a borrowed curve.
+    /// Ratio of the largest to the smallest singular value of the system of equations; null for Robertson, which solves
+    /// no system, and for a borrowed curve.
     pub condition: Option<f64>,
     /// Degree of the polynomial, if the model is one.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -245,14 +246,15 @@ pub fn recover(
     recover_from(&[&Places::of(bracket, alignment)?], model)
 }
 
-/// A saved curve contradicts the frames if it adds this much, in stops, to the residual of a curve recovered from
-/// them. Curves of one camera, each from another scene, add 0.03 to 0.08 (14 pairs; Canon 550D and 5D, Samsung A52s);
-/// a linear curve adds 0.2 to 0.5.
+/// A saved curve contradicts the frames if sqrt(a^2 - b^2) is above this, in stops, where a is its residual, and b that
+/// of a curve recovered from the frames. For curves of one camera, each from another scene, it is 0.03 to 0.08 (14
+/// pairs; Canon 550D and 5D, Samsung A52s); for a linear curve 0.2 to 0.5.
 const CONTRADICTED: f64 = 0.1;
 
 /// Returns the root mean square residuals of `curve` and of a curve recovered from the frames, in stops, if the first
-/// is larger by a tenth of a stop (difference of the squares, because independent errors add in squares). Returns
-/// `None` if it fits about as well, or if no curve can be recovered from the frames.
+/// contradicts the frames: if the difference of the squares of both is above that of `CONTRADICTED`, because
+/// independent errors add in squares. Returns `None` if `curve` fits about as well, or if no curve can be recovered
+/// from the frames.
 ///
 /// # Errors
 /// As [`recover`].
@@ -331,7 +333,7 @@ fn channel(samples: &[Sample], model: &ResponseModel) -> Fitted<Channel> {
 }
 
 /// Combines the curves of the channels. A channel that the scene does not show (a room in yellow light has no blue)
-/// gets the mean curve of the others. Fails if this applies to all.
+/// gets the mean curve of the others. Fails if the scene shows no channel.
 fn together(channels: &[Fitted<Channel>], black: [f64; 3]) -> Fitted<(ResponseCurve, [Fit; 3])> {
     let known: Vec<&Channel> = channels.iter().flatten().collect();
     if known.is_empty() {
@@ -341,7 +343,7 @@ fn together(channels: &[Fitted<Channel>], black: [f64; 3]) -> Fitted<(ResponseCu
     let g = std::array::from_fn(|c| channels[c].as_ref().map_or(mean, |channel| channel.g));
     let borrowed = Fit { borrowed: true, ..Fit::default() };
     let fits = std::array::from_fn(|c| channels[c].as_ref().map_or(borrowed, |channel| channel.fit));
-    // A borrowed curve is known at the codes of the others.
+    // A borrowed curve is a mean of known ones, and counts as known at all codes.
     let codes = fits.map(|fit: Fit| if fit.borrowed { (0.0, 255.0) } else { fit.codes });
     let curve = ResponseCurve::new(ResponseCurve::neutralised(with_common_ends(g, codes)));
     let curve = curve.and_then(|curve| curve.with_black(black));
@@ -370,9 +372,9 @@ fn pooled(ratios: &[&Ratio]) -> Vec<RatioReport> {
     sums.into_iter().map(report).collect()
 }
 
-/// Returns the curves with common slopes at both ends and beyond the `codes` that a channel has samples for: the
-/// median of the channels that have some. There are few samples there, and if the channels differ, black and white
-/// get a colour.
+/// Returns the curves `g`, where all channels have the same slopes at both ends, and a channel has them also beyond the
+/// `codes` of its samples. The common slope is the median of the channels that have samples there. Few samples are at
+/// the ends, and if the channels differed there, black and white would get a colour.
 fn with_common_ends(g: [[f64; CODES]; 3], codes: [(f64, f64); 3]) -> [[f64; CODES]; 3] {
     let step = |z: usize| {
         let saw = |c: usize| codes[c].0 <= z as f64 && (z + 1) as f64 <= codes[c].1;

@@ -9,11 +9,11 @@
 //! minimise  sum_ij w(Z_ij)^2 [g(Z_ij) - ln E_i - ln dt_j - d_j]^2  +  lambda sum |g''|^2  +  sum_j d_j^2 / sigma^2
 //! ```
 //!
-//! over g, all ln E_i and the corrections d_j together, because each alone would absorb the errors of the others. g
-//! is the sRGB curve plus a cubic spline for each channel. Two things cannot be determined from pixels and are kept
-//! as recorded: a factor common to all exposures, and a common power of all ratios, which is the contrast of g
-//! (Grossberg & Nayar 2003). Therefore d is orthogonal to both, and two exposures are never corrected. Places that
-//! contradict the others (motion) lose their weight by Tukey's biweight. If all corrections are within the
+//! over g, all ln E_i and the corrections d_j together, because each alone would absorb the errors of the others. g is
+//! the sRGB curve plus a cubic spline for each channel. Two things cannot be determined from pixels and are kept as
+//! recorded: a factor common to all exposures, and a common power of all ratios, which is the contrast of g (Grossberg
+//! & Nayar 2003). Therefore d is orthogonal to both, and brackets of only two exposures are never corrected. Places
+//! that contradict the others (motion) lose their weight by Tukey's biweight. If all corrections are within the
 //! uncertainty of the fit, none is applied, so that exact exposures are not changed.
 
 use super::fit::tukey;
@@ -33,10 +33,11 @@ use std::f64::consts::LN_2;
 #[serde(rename_all = "kebab-case")]
 #[strum(serialize_all = "kebab-case")]
 pub enum Exposures {
-    /// Corrected by up to a sixth of a stop to match the pixels, except exposures that the user gave.
+    /// Correct exposures to match the pixels: by up to 1/6 stop if all are from EXIF, by up to 3/4 stop if all are
+    /// estimated. Exposures given by -e are not corrected.
     #[default]
     FineTuned,
-    /// Exposures as recorded, as given by the user, or as estimated.
+    /// Use the exposures as recorded, given or estimated.
     AsGiven,
 }
 
@@ -44,30 +45,31 @@ pub enum Exposures {
 #[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Correction {
-    /// Stops to be added to its EV.
+    /// Number of stops that are added to the frame's EV.
     pub stops: f64,
-    /// The best fit, if it is out of bounds.
+    /// The correction that fits best, in stops, if it is out of bounds.
     pub wanted_stops: Option<f64>,
 }
 
-/// Number of places for each channel.
+/// Largest number of places for each channel.
 const PLACES: usize = 1000;
-/// Intervals of the spline, and number of its coefficients.
+/// Number of intervals of the spline.
 const INTERVALS: usize = 16;
+/// Number of coefficients of the spline.
 const SPLINE: usize = INTERVALS + 3;
 /// lambda, the weight of the squared second differences of the spline's coefficients.
 const SMOOTHNESS: f64 = 3e-5;
-/// Rounds in which places that contradict the others lose their weight.
+/// Number of rounds in which places that contradict the others lose their weight.
 const ROUNDS: usize = 3;
 /// Number of places that count as independent, because errors of the model are common to many.
 const INDEPENDENT: f64 = 50.0;
 /// Lower bound of the root mean square misfit, in stops.
 const NOISE: f64 = 0.01;
-/// If no correction is larger, none is applied, in stops: of 27 rendered brackets with exact exposures, 25 are within
-/// 0.006.
+/// Corrections are applied only if one of them is at least this large, in stops: on 25 of 27 rendered brackets with
+/// exact exposures, all corrections are within 0.006.
 const STILL: f64 = 0.025;
 
-/// Returns the standard deviation of exposures by their source, and the largest correction; both in stops.
+/// Returns the standard deviation of exposures from `source`, and the largest correction; both in stops.
 fn leeway(source: ExposureSource) -> (f64, f64) {
     match source {
         // Rounding (1/15 for 1/16 s) causes 0.09, a mechanical shutter or aperture about as much.
@@ -77,7 +79,7 @@ fn leeway(source: ExposureSource) -> (f64, f64) {
     }
 }
 
-/// Corrects the exposures of `bracket` and of its `places`. Returns them with warnings.
+/// Corrects the exposures of `bracket` and of its `places`. Returns the bracket and warnings.
 pub fn fine_tuned(bracket: Bracket, places: &mut Places) -> (Bracket, Vec<Warning>) {
     let (corrections, warnings) = corrections(&bracket, places);
     let bracket = bracket.corrected(&corrections.iter().map(|c| c.stops).collect::<Vec<_>>());
@@ -94,7 +96,7 @@ pub fn corrections(bracket: &Bracket, places: &Places) -> (Vec<Correction>, Vec<
         return none();
     }
     let samples = draw(&[places], PLACES).channels;
-    // Samples have exposures, not frames; frames with equal exposures get equal corrections.
+    // Samples contain exposures, not frames, so frames with equal exposures get equal corrections.
     let mut times: Vec<f64> = samples.iter().flatten().flat_map(|s| s.views.iter().map(|v| v.ln_time)).collect();
     times.sort_by(f64::total_cmp);
     times.dedup();
@@ -117,7 +119,7 @@ pub fn corrections(bracket: &Bracket, places: &Places) -> (Vec<Correction>, Vec<
     (corrections.collect(), warnings)
 }
 
-/// Returns the corrections of the exposures `times`, in stops, or `None` if there are too few.
+/// Returns the corrections of the exposures `times`, in stops, or `None` if there are too few exposures or samples.
 fn fit(samples: &[Vec<Sample>; 3], times: &[f64], sigma: f64) -> Option<Vec<f64>> {
     let free = free_directions(times);
     if free.is_empty() {
@@ -166,7 +168,7 @@ fn free_directions(times: &[f64]) -> Vec<DVector<f64>> {
     basis
 }
 
-/// Returns the sRGB curve as ln of the exposure, finite at 0.
+/// Returns ln of the exposure that gives a code by the sRGB curve; finite at code 0.
 fn base(code: f64) -> f64 {
     libm::log(srgb_to_linear(code.max(0.25) / 255.0))
 }
@@ -181,8 +183,8 @@ fn spline(code: f64) -> (usize, [f64; 4]) {
     (x as usize, b.map(|v| v / 6.0))
 }
 
-/// Normal equations of one channel in its spline and the corrections. Each ln E is eliminated: the weighted mean of
-/// its rows is subtracted from them.
+/// Normal equations of one channel, for the coefficients of its spline and the corrections. Each ln E is eliminated:
+/// the weighted mean of its rows is subtracted from them.
 struct Sums {
     matrix: DMatrix<f64>,
     right: DVector<f64>,
@@ -260,8 +262,8 @@ fn solve(sums: &[Sums], free: &DMatrix<f64>, noise: f64, sigma: f64) -> Option<(
     Some((parts.into_iter().map(|(by_d, by_r)| by_r - by_d * &d).collect(), d))
 }
 
-/// Returns the root mean square misfit of each place, and the sums of weight w^2 (misfit)^2 and of weight w^2 over
-/// all places.
+/// Returns the root mean square misfit of each place, and the sums of weight w^2 (misfit)^2 and of weight w^2 over all
+/// places; misfits are in nepers.
 fn misfits(
     samples: &[Sample],
     trust: &[f64],

@@ -35,14 +35,14 @@ const LEAST: f64 = 0.2;
 pub struct Options {
     /// Largest number of places for each channel; 24 or more.
     pub samples: usize,
-    /// Weight of the second differences of a sweep's change relative to the views, scaled to a mean of one view per
-    /// code; positive.
+    /// Weight of the squared second differences of a sweep's change, relative to the views, which are scaled to a mean
+    /// of one view per code; positive.
     pub smoothness: f64,
     /// The next sweep follows if a sweep reduces the objective by at least this fraction; positive, below 1.
     pub gain: f64,
     /// Largest number of sweeps in all rounds; 1 or more.
     pub sweeps: usize,
-    /// Rounds in which contradicting samples lose their weight; 0 for none.
+    /// Number of rounds in which contradicting samples lose their weight; 0 for none.
     pub rounds: usize,
 }
 
@@ -94,7 +94,7 @@ pub(super) fn channel(samples: &[Sample], options: &Options) -> Fitted<Found> {
     Ok(Found { g, trust, condition: None, degree: None })
 }
 
-/// A photograph with the values that each iteration needs.
+/// A view, with the values that each sweep needs.
 struct SweepView {
     /// The two neighbouring codes, with their weights.
     codes: [(usize, f64); 2],
@@ -110,13 +110,13 @@ impl SweepView {
         SweepView { codes: between(view.code), time: libm::exp(view.ln_time), weight: libm::exp(-4.0 * off * off) }
     }
 
-    /// t / I.
+    /// Returns t / I.
     fn rate(&self, exposure: &[f64; CODES]) -> f64 {
         self.time / self.codes.iter().map(|&(z, f)| f * exposure[z]).sum::<f64>()
     }
 }
 
-/// Updates the x and then the I. Returns the new ln I, and the root mean square of 1 - t x / I of the old ones.
+/// Updates the x and then the I. Returns the new ln I, and the root mean square of 1 - t x / I with the old I.
 fn sweep(samples: &[Vec<SweepView>], trust: &[f64], g: &[f64; CODES], smoothness: f64) -> Fitted<([f64; CODES], f64)> {
     let exposure = g.map(libm::exp);
     let (mut change, mut count) = ([0.0; CODES], [0.0; CODES]);
@@ -241,7 +241,7 @@ mod tests {
             }
         }
         let dense = matrix.cholesky().unwrap().solve(&DVector::from_column_slice(&c));
-        // The condition is about 16 x 300 x 256.
+        // The error is the condition, about 16 x 300 x 256 = 1e6, times 2e-16, with a margin.
         assert!(whittaker(&n, &c, 300.0).iter().zip(&dense).all(|(a, b)| (a - b).abs() < 1e-9));
     }
 

@@ -18,7 +18,7 @@ use std::ops::Range;
 
 /// Side of a patch in pixels.
 const PATCH: usize = 5;
-/// Candidates along each side of a cell; the flattest is used.
+/// Number of candidates along each side of a cell; the flattest candidate of the cell is used.
 const TRIES: usize = 2;
 /// Largest number of patches that are read, for any size and number of frames.
 const READ: usize = 60_000;
@@ -26,7 +26,8 @@ const READ: usize = 60_000;
 const SEEN: (f64, f64) = (2.0, 253.0);
 /// Largest standard deviation within a flat patch, in codes.
 const ROUGH: f64 = 12.0;
-/// Codes by which a longer exposure may be darker than a shorter one, in addition to the noise of the patches.
+/// Number of codes by which a longer exposure may be darker than a shorter one, in addition to the noise of the
+/// patches.
 const DARKER: f64 = 2.0;
 /// Smallest increase of a patch's code per stop of exposure, relative to the code and absolute. If the increase is
 /// smaller, the shorter exposure is at the black of the film or sensor, and is not used. Camera curves rise by a
@@ -36,7 +37,7 @@ const RISE: (f64, f64) = (0.05, 0.5);
 const BLACK: (usize, f64) = (20, 0.95);
 /// Codes from here on are never black.
 const DARK: f64 = 64.0;
-/// Bins of brightness over which samples are spread.
+/// Number of bins of brightness over which samples are spread.
 const BINS: usize = 32;
 
 /// A place in one frame and one channel.
@@ -44,7 +45,7 @@ const BINS: usize = 32;
 pub struct View {
     /// Z, the mean code of the patch, on the scale 0..=255 for any depth.
     pub code: f64,
-    /// ln dt of the frame: its relative exposure over that of the reference.
+    /// ln dt of the frame: the logarithm of its relative exposure divided by that of the reference.
     pub ln_time: f64,
 }
 
@@ -75,7 +76,7 @@ struct Candidate {
 /// The flat places of a bracket, with their codes in all merged frames.
 #[derive(Debug, Clone, Default)]
 pub struct Places {
-    /// ln dt of each frame relative to the reference, by rising exposure, and the frame's index in the bracket.
+    /// For each frame, by rising exposure, its index in the bracket, and its ln dt relative to the reference.
     frames: Vec<(usize, f64)>,
     places: Vec<Candidate>,
 }
@@ -134,8 +135,8 @@ impl Places {
         Ok(seen)
     }
 
-    /// Keeps places that have no more than `patches` patches together, evenly over the picture, or all if there are
-    /// fewer.
+    /// Keeps so many places that all their patches together are at most `patches`, evenly over the picture; all places
+    /// if there are fewer.
     pub fn thin(&mut self, patches: usize) {
         let (all, kept) = (self.places.len(), patches / self.frames.len().max(1));
         if all <= kept {
@@ -149,8 +150,8 @@ impl Places {
         self.places.shrink_to_fit();
     }
 
-    /// Returns for each frame the next longer exposure by `least` stops or more: the number of stops, and the codes
-    /// of both at each place.
+    /// Pairs each frame with the next one that is longer by `least` stops or more. Returns for each pair the number of
+    /// stops between both frames, and the codes of both at each place.
     pub(super) fn steps(&self, least: f64) -> Vec<(f64, Vec<Step>)> {
         let stops = |i: usize, j: usize| (self.frames[j].1 - self.frames[i].1) / LN_2;
         let next = |i: usize| (i + 1..self.frames.len()).find(|&j| stops(i, j) >= least).map(|j| (i, j));
@@ -183,8 +184,8 @@ impl Places {
     }
 }
 
-/// Draws at most `count` samples for each of R, G and B from all the brackets of one camera together, and estimates
-/// the black.
+/// Draws at most `count` samples for each of R, G and B from all the brackets of one camera together, and estimates the
+/// code up to which frames are black.
 pub fn draw(brackets: &[&Places], count: usize) -> Drawn {
     let drawn: Vec<_> = (0..3).into_par_iter().map(|c| (spread(brackets, c, count), black(brackets, c))).collect();
     let mut all = Drawn::default();
@@ -194,8 +195,8 @@ pub fn draw(brackets: &[&Places], count: usize) -> Drawn {
     all
 }
 
-/// Returns whether a place becomes brighter or darker, by more than [`RISE`], from each frame to the next longer one,
-/// by rising exposure.
+/// Returns for each frame, by rising exposure and without the last, its index, and whether a place becomes brighter or
+/// darker, by more than [`RISE`], in the next longer frame.
 fn changes(place: &Candidate, frames: &[(usize, f64)], channel: usize) -> Vec<(usize, Ordering)> {
     let views = place.patches.iter().zip(frames).enumerate();
     let views: Vec<_> =
@@ -209,13 +210,14 @@ fn changes(place: &Candidate, frames: &[(usize, f64)], channel: usize) -> Vec<(u
     views.windows(2).map(change).collect()
 }
 
-/// Returns the range of frames that measure a place: without frames so short that a longer one is no brighter.
+/// Returns the range of indices of the frames that measure a place: without frames so short that a longer one is no
+/// brighter.
 fn telling(place: &Candidate, frames: &[(usize, f64)], channel: usize) -> Range<usize> {
     first_rise(&changes(place, frames, channel))..frames.len()
 }
 
-/// Returns the frame from which on a place becomes brighter; the first if it never does, because it is black or white
-/// throughout.
+/// Returns the index of the frame from which on a place becomes brighter; 0 if it never does, because it is black or
+/// white throughout.
 fn first_rise(changes: &[(usize, Ordering)]) -> usize {
     changes.iter().find(|(_, change)| change.is_gt()).map_or(0, |(i, _)| *i)
 }
@@ -234,7 +236,8 @@ fn black(seen: &[&Places], channel: usize) -> f64 {
             let Some(patch) = place.patches[i].as_ref().filter(dark) else { continue };
             match change {
                 Ordering::Greater => exposed.push(patch[channel].mean),
-                // In black, noise makes the longer exposure darker as often as brighter; in other tones it never does.
+                // In black, noise makes the longer exposure darker as often as brighter; in other tones noise never
+                // makes it darker.
                 Ordering::Less => underexposed.push(patch[channel]),
                 Ordering::Equal => {}
             }
@@ -247,8 +250,8 @@ fn black(seen: &[&Places], channel: usize) -> f64 {
     if codes.len() < BLACK.0 { 0.0 } else { of_rank(codes, rank).unwrap_or(0.0) }
 }
 
-/// Returns the code that separates `below` from `above` with the fewest on the wrong side; the smallest code of all
-/// if `below` is empty.
+/// Returns the code up to which codes are taken for `below`, and beyond which for `above`, with the fewest on the wrong
+/// side; `f64::MIN` if that is to take none for `below`.
 fn parting(below: impl Iterator<Item = f64>, above: Vec<f64>) -> f64 {
     let mut codes: Vec<(f64, i32)> =
         below.map(|code| (code, 1)).chain(above.into_iter().map(|code| (code, -1))).collect();
@@ -263,8 +266,8 @@ fn parting(below: impl Iterator<Item = f64>, above: Vec<f64>) -> f64 {
     end
 }
 
-/// Reads the patch whose top-left pixel is (x, y) of the reference in all frames. Returns `None` if it is not flat or
-/// changed.
+/// Reads the patch whose top-left pixel is (x, y) of the reference in all frames. Returns `None` if the patch is not
+/// flat, or if it shows motion.
 fn look(frames: &[Strip], x: usize, y: usize) -> Option<Candidate> {
     let mut patches: Vec<Option<[Patch; 3]>> = Vec::with_capacity(frames.len());
     let mut roughness: f64 = 0.0;
@@ -281,11 +284,11 @@ fn look(frames: &[Strip], x: usize, y: usize) -> Option<Candidate> {
     (0..3).all(|channel| brightens(&patches, channel)).then_some(Candidate { at: (x, y), patches, roughness })
 }
 
-/// Whether no longer exposure is darker than a shorter one; false for moving objects.
+/// Whether every exposure is at least as bright as all shorter ones, except for noise; false for moving objects.
 fn brightens(patches: &[Option<[Patch; 3]>], channel: usize) -> bool {
     let mut brightest = f64::MIN;
     patches.iter().flatten().map(|patch| patch[channel]).all(|p| {
-        // The mean of n pixels has a standard error of deviation / sqrt(n); three of those are within chance.
+        // The mean of n pixels has a standard error of deviation / sqrt(n); three standard errors are within chance.
         let tolerance = DARKER + 3.0 * p.deviation / PATCH as f64;
         let rises = p.mean >= brightest - tolerance;
         brightest = brightest.max(p.mean);
@@ -304,7 +307,8 @@ fn read(strip: &Strip, x: usize, y: usize) -> Option<[Patch; 3]> {
     })
 }
 
-/// Returns mean and spread of the patch that `codes` begins with; `scale` codes are one on the scale 0..=255.
+/// Returns mean and spread of the patch that `codes` begins with; dividing by `scale` converts codes to the scale
+/// 0..=255.
 fn measure<T: Copy + Into<u64>>(codes: &[T], stride: usize, scale: f64) -> [Patch; 3] {
     let (mut sum, mut squares, mut least, mut most) = ([0u64; 3], [0u64; 3], [u64::MAX; 3], [0u64; 3]);
     for row in codes.chunks(stride).take(PATCH) {

@@ -4,7 +4,8 @@ use super::*;
 use crate::bracket::exposure::Exposure;
 use crate::bracket::{Frame, ReferenceChoice, Samples};
 
-/// Returns a static bracket with exposures `times`: `radiance` of a pixel's column and row, through the sRGB curve.
+/// Returns a static bracket with exposures `times`. `radiance` gives the radiance at a column and row; code values
+/// follow sRGB.
 pub(crate) fn still(
     (width, height): (usize, usize),
     times: &[f64],
@@ -31,7 +32,7 @@ pub(crate) fn still(
     (bracket, alignment)
 }
 
-/// Tiles of 20 pixels, over ten stops.
+/// Returns the radiance of tiles of 20 pixels, over ten stops.
 fn tiles(x: usize, y: usize) -> [f64; 3] {
     let e = libm::exp2(((x / 20) * 7 + (y / 20) * 13) as f64 % 101.0 / 10.0 - 8.0);
     [e, 1.1 * e, 0.8 * e]
@@ -54,8 +55,8 @@ fn curve_of_a_bracket_is_recovered_and_grey_stays_grey() {
     assert!((mean(0) - mean(1)).abs() < 1e-9 && (mean(2) - mean(1)).abs() < 1e-9);
 }
 
-/// Root mean square of the difference from the sRGB curve over codes 10..=245 of all channels, after one common
-/// shift, in stops.
+/// Returns the root mean square of the difference from the sRGB curve over codes 10..=245 of all channels, after one
+/// common shift, in stops.
 fn off(curve: &ResponseCurve) -> f64 {
     let srgb = ResponseCurve::srgb();
     let codes = (0..3).flat_map(|c| (10..=245).map(move |z| (c, z)));
@@ -81,7 +82,7 @@ fn every_model_recovers_the_curve() {
         assert!(off(&curve) < 0.05, "{name}: {}", off(&curve));
         let ratios = report.exposure_ratios.unwrap_or_default();
         assert_eq!(ratios.len(), if name == "mitsunaga-nayar" { 2 } else { 0 });
-        // Two stops each, and exact: estimates differ only by rounding to codes.
+        // The steps are two stops each, and exact: estimates differ only by the rounding of codes.
         assert!(ratios.iter().all(|r| r.given_stops == 2.0 && (r.found_stops - 2.0).abs() < 0.03), "{ratios:?}");
     }
 }
@@ -111,7 +112,7 @@ fn brackets_of_one_camera_give_a_better_curve_together() {
     let (both, report, _) = recover_from(&[&dark, &bright], &ResponseModel::default()).unwrap();
     assert!(report.fallback.is_none() && off(&both) < 0.03, "{} {report:?}", off(&both));
     let (reversed, ..) = recover_from(&[&bright, &dark], &ResponseModel::default()).unwrap();
-    // Sums in another order, and other places may be drawn among equally flat ones.
+    // The curves are not equal: sums are in another order, and other places may be drawn among equally flat ones.
     assert!((off(&reversed) - off(&both)).abs() < 0.01);
     let (none, report, _) = recover_from(&[], &ResponseModel::default()).unwrap();
     assert!(none == ResponseCurve::srgb() && report.fallback.is_some());
@@ -152,7 +153,8 @@ fn code_is_the_inverse_of_exposure() {
     let curve = ResponseCurve::srgb();
     for code in (0..=2550).map(|z| z as f32 / 10.0) {
         let found = curve.code(1, curve.exposure(1, code));
-        // Two roundings of 2^-24 of an exposure whose steps are at least 2^-8.
+        // An exposure is rounded twice, by 2^-24 each; a step of one code is at least 2^-8 of the exposure, so the
+        // error is at most 2^-15 codes.
         assert!((found - code).abs() < 1e-4, "{code}: {found}");
     }
     assert_eq!((curve.code(0, 0.0), curve.code(0, f32::INFINITY)), (0.0, 255.0));

@@ -23,16 +23,17 @@ const SUB_DIRECTORIES: u16 = 330;
 const EXIF_DIRECTORY: u16 = 34665;
 const DNG_VERSION: u16 = 50706;
 
-/// The photometric interpretation of grey (TIFF 6.0, section 8).
+/// The photometric interpretation of grey whose 0 is black (TIFF 6.0, section 8).
 const BLACK_IS_ZERO: u8 = 1;
 
-/// JPEG in a TIFF, whose bits are never reversed (libtiff's TIFF_NOBITREV).
+/// Numbers of the JPEG compressions, in whose data bits are never reversed (libtiff's TIFF_NOBITREV).
 const JPEGS: [u64; 2] = [6, 7];
 
-/// Largest number of directories that are read: pictures of one file, of which one is used.
+/// Largest number of directories (IFDs) that are read. Each describes one picture of the file, and only one picture is
+/// used.
 const MOST_DIRECTORIES: usize = 64;
 
-/// From this length on the crate rejects a text, and prints a message about it.
+/// Length of a text, in bytes, above which the crate rejects it and prints a message.
 const LONGEST_TEXT: u64 = 256 << 20;
 
 /// An entry of a directory.
@@ -41,11 +42,11 @@ struct Entry {
     tag: u16,
     kind: u16,
     count: u64,
-    /// Offset of its value in the file.
+    /// Offset of the value in the file.
     value: u64,
 }
 
-/// A directory: its offset and its entries.
+/// A directory (IFD): its offset in the file, its entries, and the offset of the next directory.
 #[derive(Debug)]
 struct Directory {
     at: u64,
@@ -146,7 +147,7 @@ impl<R: Read + Seek> Directories<R> {
         self.first_number(directory, SUBFILE).is_some_and(|kind| kind & 1 != 0)
     }
 
-    /// Whether a directory contains the mosaic of a sensor, or linear pixels made from one.
+    /// Whether a directory contains the mosaic of a sensor, or linear pixels made from a mosaic.
     fn is_mosaic(&mut self, directory: &Directory) -> bool {
         matches!(self.first_number(directory, PHOTOMETRIC), Some(32803 | 34892))
     }
@@ -157,7 +158,8 @@ fn number(bytes: &[u8], is_little: bool) -> u64 {
     if is_little { bytes.iter().rev().fold(0, add) } else { bytes.iter().fold(0, add) }
 }
 
-/// Bytes of a value of a type (TIFF 6.0, section 2; BigTIFF); the longest for unknown types.
+/// Returns the size in bytes of a value of the type `kind` (TIFF 6.0, section 2; BigTIFF); the largest size for unknown
+/// types.
 fn size_of_kind(kind: u16) -> u64 {
     match kind {
         1 | 2 | 6 | 7 => 1,
@@ -206,7 +208,7 @@ pub(crate) fn picture(reader: impl Read + Seek) -> Result<Picture, Reason> {
     Ok(Picture { index, count: pictures.len(), at: pictures[index].at, is_raw })
 }
 
-/// Makes `picture` the first of the file `bytes`.
+/// Makes `picture` the first picture of the file `bytes`.
 pub(crate) fn put_first(bytes: &mut [u8], picture: Picture) {
     let Some((at, word, is_little)) = Directories::of(Cursor::new(&*bytes)).map(|file| {
         let (at, word) = file.offset();
@@ -246,10 +248,10 @@ pub(crate) fn order_bits(bytes: &mut [u8]) {
     }
 }
 
-/// Sets the photometric interpretation of the first picture to grey, and returns its own. Then the crate decodes all
-/// samples as stored, of any meaning and number, and applies the predictor to the right samples. Otherwise it does
-/// not read palettes, LogLuv and grey with alpha, and reads extra samples incorrectly. If the directory is damaged
-/// nothing is changed, and the crate reports it.
+/// Sets the photometric interpretation of the first picture to grey, and returns the original value. Then the crate
+/// decodes all samples as stored, of any meaning and number, and applies the predictor to the right samples. Without
+/// this change the crate does not read palettes, LogLuv and grey with alpha, and reads extra samples incorrectly. If
+/// the directory is damaged nothing is changed, and the crate reports it.
 pub(crate) fn as_grey(bytes: &mut [u8]) -> Option<u16> {
     let mut file = Directories::of(Cursor::new(&*bytes))?;
     let (at, word) = file.offset();

@@ -76,19 +76,19 @@ pub(crate) fn samples<R: Read + Seek>(decoder: &mut Decoder<R>, wanted: usize) -
     all.ok_or_else(|| "it has no pixels".into())
 }
 
-/// The position of a chunk.
+/// The position of a chunk (strip or tile) and the layout of its samples.
 struct Place {
     /// Size of the picture, in pixels.
     size: (usize, usize),
-    /// Samples per pixel in the picture.
+    /// Number of samples per pixel in the result.
     wanted: usize,
-    /// Samples per pixel in the chunk: at least those of the picture, or one of them.
+    /// Number of samples per pixel in the chunk: all that are stored, or 1 if the planes are separate.
     per_chunk: usize,
     /// Position of the chunk in the picture.
     corner: (usize, usize),
     /// Width of the chunk in pixels.
     chunk_width: usize,
-    /// The sample that the chunk contains, if it does not contain all.
+    /// Index of the sample that the chunk contains, if the planes are separate.
     plane: Option<usize>,
 }
 
@@ -120,7 +120,7 @@ impl Place {
     }
 }
 
-/// Converts samples of fewer than 8 bits, in rows of `count` padded to bytes, to bytes of the full range.
+/// Converts samples of fewer than 8 bits, in rows of `count` samples padded to whole bytes, to bytes of the full range.
 fn unpacked(packed: &[u8], count: usize, depth: u8) -> Vec<u8> {
     let depth = usize::from(depth.max(1));
     let max = (1u16 << depth) - 1;

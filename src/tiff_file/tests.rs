@@ -3,7 +3,7 @@
 use super::*;
 use tiff::decoder::{Decoder, DecodingResult};
 
-/// A tag, its type (TIFF 6.0, section 2) and its values; both numbers of a rational.
+/// Entries of a directory: the tag, its type (TIFF 6.0, section 2) and its values; a rational has two values.
 pub(crate) type Entries = Vec<(u16, u16, Vec<u32>)>;
 
 /// Offset of the data of a [`file`].
@@ -78,7 +78,7 @@ fn decoded(bytes: &[u8]) -> Vec<u8> {
     }
 }
 
-/// The tiff crate's function for the whole picture panics on it.
+/// The tiff crate's function for the whole picture panics on such a file.
 #[test]
 fn tiles_of_planes_that_reach_beyond_the_edges_are_cut() {
     let (width, height) = (19_usize, 21_usize);
@@ -149,7 +149,7 @@ fn first_picture_without_thumbnails_is_used_and_mosaics_are_raw() {
     assert!(which(&[with(rgb(5, 4, DATA), (50706, 1, vec![1, 4, 0, 0]))]).1);
     let mosaic = || with(rgb(5, 4, DATA), (262, 3, vec![32803]));
     assert!(which(&[mosaic()]).1 && which(&[thumbnail(), mosaic()]).1);
-    // A subdirectory of the first, as in NEF: the second directory is removed from the chain.
+    // The mosaic is in a subdirectory of the first directory, as in NEF: its directory is removed from the chain.
     let mut bytes = file(&data, &[with(thumbnail(), (330, 4, vec![0x5555_5555])), mosaic()]);
     let mut directories = Directories::of(Cursor::new(&bytes)).unwrap();
     let chain = directories.pictures();
@@ -180,7 +180,7 @@ fn a_text_longer_than_any_file_is_refused_before_the_crate_sees_it() {
     }
 }
 
-/// The tiff crate gives other values for them, without an error, if it knows that they are RGB.
+/// If the photometric interpretation is RGB, the tiff crate decodes such files to wrong values, without an error.
 #[test]
 fn extra_samples_are_left_out_with_a_predictor_or_without() {
     let picture: Vec<u8> = (0..5 * 5 * 4).map(|i| (i * i % 251) as u8).collect();

@@ -1,10 +1,11 @@
 //! Exposure fusion (Mertens et al. 2007): blends the best exposed parts of several exposures without seams.
 //!
-//! `mertens` fuses the aligned frames, without radiance or response; [`natural`](super::natural) fuses exposures computed from the radiance.
+//! `mertens` fuses the aligned frames, without radiance or response; [`natural`](super::natural) fuses exposures
+//! computed from the radiance.
 //!
-//! In: pictures of one size as code values. Out: one picture. Cost: 0.25 us a pixel and picture on two cores; 43 to 53 bytes a pixel, whatever the
-//! number of pictures.
-//! Source: Mertens, Kautz, Van Reeth, "Exposure Fusion" (2007), sections 3.1 (quality measures) and 3.2 (fusion), equations 1 to 5.
+//! In: pictures of one size as code values. Out: one picture. Cost: 0.25 us a pixel and picture on two cores; 43 to 53
+//! bytes a pixel, whatever the number of pictures. Source: Mertens, Kautz, Van Reeth, "Exposure Fusion" (2007),
+//! sections 3.1 (quality measures) and 3.2 (fusion), equations 1 to 5.
 
 use super::settings::Setting;
 use crate::error::Result;
@@ -57,7 +58,8 @@ const WELL_EXPOSED: f32 = 0.2;
 /// A frame: code values 0..=1 in three planes. Negative values mean that the frame does not cover the pixel.
 pub type Channels = [Plane<f32>; 3];
 
-/// Fuses `count` frames of one size; `frame` is called twice for each. Values are code values, 0..=1.
+/// Fuses `count` frames of one size. `frame` returns the frame with an index, and is called twice for each frame.
+/// Values are code values, 0..=1.
 ///
 /// # Errors
 /// Those of `frame`.
@@ -76,7 +78,7 @@ pub fn fuse(count: usize, frame: impl Fn(usize) -> Result<Channels>, options: &O
     for k in 0..count {
         let mut channels = frame(k)?;
         let mut share = weights(&channels, options);
-        // Equation 4; where no frame has any weight, all have the same.
+        // Equation 4; where no frame has any weight, all frames get the same weight.
         let parts = share.as_mut_slice().par_iter_mut().zip(total.as_slice());
         parts.for_each(|(w, &sum)| *w = if sum > 0.0 { *w / sum } else { 1.0 / count as f32 });
         let shares = gaussian_pyramid(share, depth);
@@ -104,7 +106,8 @@ fn add(sum: &mut Plane<f32>, part: &Plane<f32>) {
     sum.as_mut_slice().iter_mut().zip(part.as_slice()).for_each(|(s, p)| *s += p);
 }
 
-/// Equation 3: the product of contrast, saturation and well-exposedness, each raised to its exponent; 0 outside the frame.
+/// Returns equation 3: the product of contrast, saturation and well-exposedness, each raised to its exponent; 0 outside
+/// the frame.
 fn weights(channels: &Channels, options: &Options) -> Plane<f32> {
     let (width, height) = (channels[0].width(), channels[0].height());
     let grey = Plane::from_rows(width, height, |y, row| {
@@ -130,13 +133,14 @@ fn weights(channels: &Channels, options: &Options) -> Plane<f32> {
             let bell = |v: f32| bells[(v.clamp(0.0, 1.0) * 1024.0) as usize];
             let exposed = bell(red[x]) * bell(green[x]) * bell(blue[x]);
             let weight = power(contrast, options.contrast) * power(variance.sqrt(), options.saturation) * exposed;
-            // Flat grey has neither contrast nor saturation in any frame; the small terms let exposure alone decide there.
+            // Flat grey has neither contrast nor saturation in any frame; the small terms let exposure alone decide
+            // there.
             *w = if red[x] < 0.0 { 0.0 } else { weight + 1e-9 + 1e-6 * exposed };
         }
     })
 }
 
-/// Section 3.1: a Gaussian around 0.5.
+/// Returns the well-exposedness of section 3.1: a Gaussian around 0.5.
 fn bell(value: f32) -> f32 {
     let d = (value - 0.5) / WELL_EXPOSED;
     libm::expf(-0.5 * d * d)
@@ -169,7 +173,8 @@ mod tests {
         }
     }
 
-    /// The left half is well exposed in one frame, the right half in the other: away from the middle the fused picture is of that frame.
+    /// The left half is well exposed in one frame, the right half in the other: away from the middle the fused picture
+    /// shows the well exposed frame.
     #[test]
     fn each_frame_contributes_where_it_is_well_exposed() {
         let half = |left: f32, right: f32| -> Channels {

@@ -1,10 +1,10 @@
-//! Carries an operator's result from the grid of cells to the pixels: a linear function for every place, which maps the luminance of a pixel to its
-//! tone.
+//! Carries an operator's result from the grid of cells to the pixels: a linear function for every place, which maps the
+//! luminance of a pixel to its tone.
 //!
-//! In: log2 luminance l and tone v of every cell. Out: for every place a and b of v = a l + b, so that edges and all detail finer than a cell are
-//! those of the picture. Cost: 60 ns a cell; two linear interpolations a pixel. Source: He, Sun, Tang, "Guided Image Filtering" (2013), section 3.1,
-//! equations 5 and 6; the idea of computing small and applying large is that of Kopf, Cohen, Lischinski, Uyttendaele, "Joint Bilateral Upsampling"
-//! (2007).
+//! In: log2 luminance l and tone v of every cell. Out: for every place a and b of v = a l + b, so that edges and all
+//! detail finer than a cell are those of the picture. Cost: 60 ns a cell; two linear interpolations a pixel. Source:
+//! He, Sun, Tang, "Guided Image Filtering" (2013), section 3.1, equations 5 and 6; the idea of computing small and
+//! applying large is that of Kopf, Cohen, Lischinski, Uyttendaele, "Joint Bilateral Upsampling" (2007).
 
 use crate::plane::Plane;
 use crate::pyramid::cells::{Mix, between_cells};
@@ -21,20 +21,21 @@ pub struct Guide {
 /// Radius of the window that a linear function is fitted to, in cells.
 const REACH: usize = 2;
 
-/// Regularisation: variance of l, in square stops, at which the fitted slope and the slope for detail have equal weight.
+/// Regularisation: variance of l, in square stops, at which the fitted slope and the slope for detail have equal
+/// weight.
 const REGULARISATION: f32 = 0.02;
 
 /// Largest slope, so that detail is not exaggerated; the smallest is 0.
 const STEEPEST: f32 = 1.5;
 
 impl Guide {
-    /// v = l + `shift` everywhere.
+    /// Returns the guide that maps l to v = l + `shift` everywhere.
     pub fn shifted(shift: f64) -> Self {
         Guide { side: 1, lines: Plane::filled(1, 1, [1.0, shift as f32]) }
     }
 
-    /// Fits the tones `tones` to the log2 luminances `logs`, both of cells of `side` pixels. Where the scene is flat, the slope is `detail`. When cells
-    /// are single pixels, the result is `tones` itself.
+    /// Fits lines that map the log2 luminances `logs` to `tones`, both of cells with a side of `side` pixels. Where the
+    /// scene is flat, the slope is `detail`. When cells are single pixels, the result is `tones` itself.
     pub fn fitted(logs: &Plane<f32>, tones: &Plane<f32>, side: usize, detail: f32) -> Self {
         let (width, height) = (logs.width(), logs.height());
         if side == 1 || width * height == 1 {
@@ -45,13 +46,14 @@ impl Guide {
         Guide::regressed(logs, tones, side, detail, REGULARISATION)
     }
 
-    /// Smooths `values` of cells of `side` pixels and keeps edges: where the variance is `half`, half of the deviation from the surroundings is left.
-    /// This is the guided filter of a picture by itself (section 3.2).
+    /// Smooths `values`, those of cells with a side of `side` pixels, and keeps edges: where the variance is `half`,
+    /// half of the deviation from the surroundings is left. This is the guided filter of a picture by itself (section
+    /// 3.2).
     pub fn smoothed(values: &Plane<f32>, side: usize, half: f32) -> Self {
         Guide::regressed(values, values, side, 0.0, half)
     }
 
-    /// Equations 5 and 6, with the slope regularised towards `slope` instead of 0.
+    /// Fits lines by equations 5 and 6, with the slope regularised towards `slope` instead of 0.
     fn regressed(from: &Plane<f32>, to: &Plane<f32>, side: usize, slope: f32, regularisation: f32) -> Self {
         let (width, height) = (from.width(), from.height());
         let moments = Plane::from_rows(width, height, |y, row| {
@@ -75,7 +77,8 @@ impl Guide {
         self.row_of(&self.lines, y, row);
     }
 
-    /// Writes the values of `plane`, which has the same cells, at row `y` of the picture to `row`, one for each column of cells and a copy of the last.
+    /// Writes the values of `plane`, which has the cells of the guide, at row `y` of the picture to `row`: one for each
+    /// column of cells, and a copy of the last.
     pub fn row_of<T: Mix>(&self, plane: &Plane<T>, y: usize, row: &mut Vec<T>) {
         let (first, second, part) = between_cells(y, self.side, plane.height());
         row.clear();
@@ -85,7 +88,7 @@ impl Guide {
         row.extend(row.last().copied());
     }
 
-    /// The position of each of `width` pixels in such a row.
+    /// Returns the position of each of `width` pixels in a row that [`row`](Self::row) writes.
     pub fn columns(&self, width: usize) -> Columns {
         (0..width)
             .map(|x| {
@@ -108,7 +111,7 @@ pub fn interpolated(columns: &Columns, x: usize, row: &[[f32; 2]]) -> impl Itera
     })
 }
 
-/// The means over squares of 2 REACH + 1 cells; cells beyond the border equal the border cell.
+/// Returns the means over squares of 2 REACH + 1 cells; cells beyond the border equal the border cell.
 fn box_mean<const N: usize>(plane: &Plane<[f32; N]>) -> Plane<[f32; N]>
 where
     [f32; N]: Default,
@@ -138,8 +141,9 @@ where
 mod tests {
     use super::*;
 
-    /// A scene with an edge and texture, on cells of 4 pixels, with tones that are a curve of luminance: at the pixels the curve is recovered within a
-    /// few hundredths of a stop. On the edge, 5 stops high, a line deviates from the curve by up to 0.02 (5 / 2)^2 = 0.125.
+    /// A scene with an edge and texture, on cells of 4 pixels, with tones that are a curve of luminance: at the pixels
+    /// the curve is recovered within a few hundredths of a stop. On the edge, 5 stops high, a line deviates from the
+    /// curve by up to 0.02 (5 / 2)^2 = 0.125.
     #[test]
     fn lines_carry_a_curve_to_the_pixels() {
         let pixel = |x: usize, y: usize| if x > 150 { 3.0 } else { -2.0 } + 0.3 * ((x * 5 + y * 3) as f32 * 0.1).sin();

@@ -1,9 +1,10 @@
 //! Tone mapping: radiance to a display-encoded picture.
 //!
-//! In: a [`RadianceMap`] in any unit and primaries, whole or row by row. Out: a [`DisplayImage`] (8-bit sRGB) or rows of [`codes`](display::codes).
-//! Each [`Operator`] implements one paper in one file. It analyses an `overview` of the whole scene, a grid of at most a million cells, and returns
-//! `tones`, which map the rows. Colour, gamut mapping and encoding are shared by all operators: see `tones`, [`display`] and
-//! [`codes`](display::codes). Cost: see each operator.
+//! In: a [`RadianceMap`] in any unit and primaries, whole or row by row. Out: a [`DisplayImage`] (8-bit sRGB) or rows
+//! of [`codes`](display::codes). Each [`Operator`] implements a published operator in a file of [`operators`], or is
+//! [`natural`]. It analyses an `overview` of the whole scene, a grid of at most a million cells, and returns `tones`,
+//! which map the rows. All operators share gamut mapping and encoding, and all but `natural` the treatment of colour:
+//! see `tones`, [`display`] and [`codes`](display::codes). Cost: see each operator.
 
 pub mod adjust;
 pub mod display;
@@ -38,21 +39,21 @@ pub struct DisplayImage {
 #[serde(tag = "name", rename_all = "kebab-case")]
 #[strum(serialize_all = "kebab-case")]
 pub enum Operator {
-    /// Fusion of several exposures computed from the radiance, with the colours of the photographs.
+    /// Local: fuses exposures computed from the radiance; keeps the colours of the photographs.
     Natural(natural::Options),
-    /// Global photographic tone curve: Reinhard et al. 2002.
+    /// Global: one curve, soft highlights. Reinhard et al. 2002.
     Reinhard02(operators::reinhard::Options),
-    /// Local, dodging and burning: Reinhard et al. 2002.
+    /// Local: brightens and darkens areas, as dodging and burning. Reinhard et al. 2002.
     Reinhard02Local(operators::reinhard::Options),
-    /// Global adaptive logarithm: Drago et al. 2003.
+    /// Global: one curve, bright shadows. Drago et al. 2003.
     Drago(operators::drago::Options),
-    /// Local, bilateral base and detail layers: Durand & Dorsey 2002.
+    /// Local: compresses large differences of brightness, keeps fine detail. Durand & Dorsey 2002.
     Durand(operators::durand::Options),
-    /// Local, attenuated gradients: Fattal et al. 2002.
+    /// Local: strong local contrast, dramatic. Fattal et al. 2002.
     Fattal(operators::fattal::Options),
-    /// Local, perceived contrasts at every scale: Mantiuk et al. 2006.
+    /// Local: contrasts as the eye perceives them. Mantiuk et al. 2006.
     Mantiuk06(operators::mantiuk06::Options),
-    /// Global, tone curve optimised for a display and its room: Mantiuk et al. 2008.
+    /// Global: the best curve for a given display and the light in its room. Mantiuk et al. 2008.
     Mantiuk08(operators::mantiuk08::Options),
 }
 
@@ -63,12 +64,12 @@ impl Default for Operator {
 }
 
 impl Operator {
-    /// The name used on the command line and in reports.
+    /// Returns the name used on the command line and in reports.
     pub fn name(&self) -> &'static str {
         self.into()
     }
 
-    /// The settings of this operator.
+    /// Returns the settings of this operator.
     pub fn settings(&mut self) -> Vec<Setting<'_>> {
         match self {
             Operator::Natural(options) => options.settings(),
@@ -133,12 +134,12 @@ impl Rendering {
         });
         let fused = (
             Rendering::Fused(fusion::Options::default()),
-            "Fusion of the aligned frames, not available in `tonemap`: Mertens et al. 2007.",
+            "Fusion of the aligned frames, without radiance. Mertens et al. 2007.",
         );
         toned.chain([fused]).collect()
     }
 
-    /// The name used on the command line and in reports.
+    /// Returns the name used on the command line and in reports.
     pub fn name(&self) -> &'static str {
         match self {
             Rendering::Toned(operator) => operator.name(),
@@ -146,7 +147,7 @@ impl Rendering {
         }
     }
 
-    /// The settings of this rendering.
+    /// Returns the settings of this rendering.
     pub fn settings(&mut self) -> Vec<Setting<'_>> {
         match self {
             Rendering::Toned(operator) => operator.settings(),
@@ -174,9 +175,10 @@ impl Rendering {
 
 /// Tone-maps `radiance` with `operator`.
 ///
-/// `photographed` describes the photographs that the radiance was merged from, if they are known. The [settings](Operator::settings) of the operator
-/// must be within their ranges. Scaling the radiance by a factor does not change the picture, unless a setting fixes the scale or the radiance is
-/// uniform.
+/// `photographed` describes the photographs that the radiance was merged from, if they are known. The
+/// [settings](Operator::settings) of the operator must be within their ranges. A factor on the radiance does not change
+/// the picture, unless a setting fixes the scale, the radiance is uniform, or the radiances in `photographed`, which
+/// [`natural`] uses, are not multiplied by the same factor.
 pub fn tonemap(radiance: &RadianceMap, photographed: Option<Photographed>, operator: &Operator) -> DisplayImage {
     let pixels = &radiance.pixels;
     let mut overview = Overview::new((pixels.width(), pixels.height()), &radiance.primaries).photographed(photographed);
@@ -217,7 +219,8 @@ mod tests {
         }
     }
 
-    /// Radiance 1 gives the middle code value; 4.7 and above gives white (1 / 0.2159 = 4.63); the smallest code value above 0 is at 0.00014 / 0.2159.
+    /// By hand: radiance 1 has the middle code value, which is 0.2159 of display white. So white begins at 1 / 0.2159 =
+    /// 4.63, and code value 1 at 0.00015 / 0.2159 = 0.0007.
     #[test]
     fn uniform_scene_keeps_the_colour_of_the_photographs() {
         for operator in Operator::iter() {

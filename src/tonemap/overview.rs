@@ -1,7 +1,8 @@
 //! Overview of a scene: the statistics that an operator needs before it can map the first row.
 //!
-//! In: radiance rows, from top to bottom, in portions of any height. Out: a [`Scene`]: mean luminance and colour on a grid of square cells, and a
-//! sample of the luminances. Cost: 4 ns a pixel and core. Memory: at most [`MOST_CELLS`] cells, however large the picture is.
+//! In: radiance rows, from top to bottom, in portions of any height. Out: a [`Scene`]: mean luminance and colour on a
+//! grid of square cells, and a sample of the luminances. Cost: 4 ns a pixel and core. Memory: at most [`MOST_CELLS`]
+//! cells, however large the picture is.
 
 use super::display::{LUMINANCE, ToSrgb, luminance};
 use crate::bracket::colour::Primaries;
@@ -22,7 +23,8 @@ pub struct Overview {
     to_srgb: ToSrgb,
     size: (usize, usize),
     side: usize,
-    /// For every cell: the sum of log2 luminance, the sums of red and of blue over luminance, and the number of lit pixels.
+    /// For every cell: the sum of log2 luminance, the sums of red and of blue divided by luminance, and the number of
+    /// lit pixels.
     cells: Plane<[f32; 4]>,
     step: usize,
     /// log2 luminance of every `step`-th pixel of every `step`-th row.
@@ -56,13 +58,14 @@ impl Overview {
         Overview { photographed, ..self }
     }
 
-    /// Shows light of the chromaticity `light` (CIE xy, relative to D65) as white; `primaries` are those of the radiance.
+    /// Shows light of the chromaticity `light` (CIE xy, relative to D65) as white; `primaries` are those of the
+    /// radiance.
     pub fn balanced(self, primaries: &Primaries, light: [f64; 2]) -> Self {
         Overview { to_srgb: ToSrgb::balanced(primaries, light), ..self }
     }
 
-    /// Adds the rows `pixels`, the first of which is row `first` of the picture. The result does not depend on the portions, because each cell sums
-    /// its pixels in order.
+    /// Adds the rows `pixels`, the first of which is row `first` of the picture. The result does not depend on the
+    /// portions, because each cell sums its pixels in order.
     pub fn see(&mut self, first: usize, pixels: &Plane<[f32; 3]>) {
         let (side, step, to_srgb) = (self.side, self.step, self.to_srgb);
         let (width, end) = (pixels.width(), first + pixels.height());
@@ -102,7 +105,7 @@ impl Overview {
         self.sample.extend(samples.iter().flatten());
     }
 
-    /// The finished overview, after every row was added; `None` when no pixel has light.
+    /// Returns the finished overview, after every row was added; `None` when no pixel has light.
     pub fn scene(self) -> Option<Scene> {
         let Overview { to_srgb, size, side, cells, mut sample, photographed, .. } = self;
         let (width, height) = (cells.width(), cells.height());
@@ -128,10 +131,11 @@ impl Overview {
 /// towards the corners of a picture exceeds it.
 const UNIFORM_STOPS: f32 = 0.25;
 
-/// Stands for the logarithm of no light.
+/// Value that stands for the log2 luminance of a pixel without light.
 const UNLIT: f32 = -1000.0;
 
-/// Computes log2 luminance, and red and blue over luminance, of a row. The ratios are clamped to those of sRGB colours.
+/// Computes log2 luminance, and red and blue divided by luminance, of a row. The ratios are clamped to those of sRGB
+/// colours.
 struct Logs<'a> {
     to_srgb: &'a ToSrgb,
     row: &'a [[f32; 3]],
@@ -157,8 +161,9 @@ impl Loops for Logs<'_> {
     }
 }
 
-/// The value below which a share `p` of `sorted` lies; `sorted` is ascending and not empty. With five values or more at least one lies beyond the
-/// result at either end, so that a single outlier does not decide, however small the picture.
+/// Returns the value below which a share `p` of `sorted` lies; `sorted` is ascending and not empty. With five values or
+/// more at least one value lies beyond the result at either end, so that a single outlier does not decide, however
+/// small the picture.
 pub fn quantile(sorted: &[f32], p: f64) -> f32 {
     let last = sorted.len() - 1;
     let place = last as f64 * p;
@@ -178,7 +183,7 @@ pub struct Scene {
     pub side: usize,
     /// Mean log2 luminance of each cell; cells without light have the value of the darkest other cell.
     pub logs: Plane<f32>,
-    /// Mean of red over luminance and of blue over luminance in each cell, in linear sRGB.
+    /// Mean of red divided by luminance, and of blue divided by luminance, in each cell, in linear sRGB.
     pub colours: Plane<[f32; 2]>,
     /// log2 luminances of sampled pixels, ascending.
     sample: Vec<f32>,
@@ -187,7 +192,7 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// The log2 luminance below which a share `p`, 0..=1, of the pixels lies.
+    /// Returns the log2 luminance below which a share `p`, 0..=1, of the pixels lies.
     pub fn percentile(&self, p: f64) -> f64 {
         f64::from(quantile(&self.sample, p))
     }
@@ -200,20 +205,21 @@ impl Scene {
         most - least <= UNIFORM_STOPS
     }
 
-    /// The mean log2 luminance, with values clamped to the range given.
+    /// Returns the mean log2 luminance, with values clamped to the range from `dark` to `bright`.
     pub fn average_within(&self, (dark, bright): (f64, f64)) -> f64 {
         let sum: f64 = self.sample.iter().map(|&l| f64::from(l).clamp(dark, bright)).sum();
         sum / self.sample.len() as f64
     }
 
-    /// The cells clamped from below to one stop under the 0.1th percentile: what is darker is noise, not contrast.
+    /// Returns the log2 luminances of the cells, raised to at least one stop below the 0.1th percentile: darker
+    /// differences are noise, not contrast.
     pub fn lit(&self) -> Plane<f32> {
         let dark = self.percentile(0.001) as f32 - 1.0;
         let lit = self.logs.as_slice().iter().map(|l| l.max(dark)).collect();
         Plane::from_vec(self.logs.width(), self.logs.height(), lit)
     }
 
-    /// The scene on a grid of at most `cells` cells, each made of a whole number of the present ones.
+    /// Returns the scene on a grid of at most `cells` cells, each made of a square of present cells.
     pub fn coarser(&self, cells: usize) -> Scene {
         let (width, height) = (self.logs.width(), self.logs.height());
         let mut by = 1;
@@ -273,7 +279,7 @@ mod tests {
             let four = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(i, j)| luminance(pixels.at(2 * x + i, 2 * y + j)));
             let lit: Vec<f64> = four.iter().filter(|l| l.is_finite()).map(|l| f64::from(*l).log2()).collect();
             let mean = lit.iter().sum::<f64>() / lit.len() as f64;
-            // The logarithm is exact to 2e-7 of values below 8.
+            // The vectorised logarithm is exact to 2e-7 for values below 8.
             assert!((f64::from(whole.logs.at(x, y)) - mean).abs() < 1e-5);
         }
         let coarse = whole.coarser(1000);

@@ -1,12 +1,12 @@
 //! Downscaling row by row, in linear light, so that fine bright detail keeps its brightness.
 //!
-//! In: rows of light or radiance, from the first to the last, in portions of any size. Out: rows of the smaller picture as they become complete.
-//! Cost: 25 ns a pixel, over all threads. Memory: about 75 bytes for each input column, and the portion.
-//! Source: Turkowski, "Filters for Common Resampling Tasks", Graphics Gems I (1990): Lanczos' kernel with three lobes, scaled to the pixels of the
-//! smaller picture, applied along one axis after the other.
+//! In: rows of light or radiance, from the first to the last, in portions of any size. Out: rows of the smaller picture
+//! as they become complete. Cost: 25 ns a pixel, over all threads. Memory: about 75 bytes for each input column, and
+//! the portion. Source: Turkowski, "Filters for Common Resampling Tasks", Graphics Gems I (1990): Lanczos' kernel with
+//! three lobes, scaled to the pixels of the smaller picture, applied along one axis after the other.
 //!
-//! Linear light has a large range: beside a window the negative lobes of the kernel would draw a black line. The result is therefore clamped to the
-//! range of the pixels under the kernel's main lobe.
+//! Linear light has a large range: beside a window the negative lobes of the kernel would draw a black line. The result
+//! is therefore clamped to the range of the pixels under the kernel's main lobe.
 
 use crate::align::resampling::lanczos::lanczos3;
 use rayon::prelude::*;
@@ -19,7 +19,8 @@ const REACH: f64 = 3.0;
 /// The input pixels and weights of each output pixel, along one axis.
 #[derive(Debug, Clone)]
 struct Taps {
-    /// For each output pixel: its input pixels, the index of its first weight, and the input pixels under the main lobe.
+    /// For each output pixel: the range of its input pixels, the index of its first weight in `weights`, and the range
+    /// of the input pixels under the main lobe.
     places: Vec<(Range<usize>, usize, Range<usize>)>,
     weights: Vec<f32>,
 }
@@ -165,7 +166,7 @@ mod tests {
             let whole = resized(&picture, to, 173);
             assert!([1, 5, 64].iter().all(|&portion| resized(&picture, to, portion) == whole), "{to:?}");
         }
-        // Whole positions have one weight, but for the rounding of sines.
+        // At the same size each pixel has only one weight that is not 0, except for the rounding of sines.
         let same = resized(&picture, (61, 173), 64);
         let off = same.as_flattened().iter().zip(picture.as_slice().as_flattened()).map(|(a, b)| (a - b).abs());
         assert!(off.fold(0.0, f32::max) < 1e-3, "the same size is the same picture");
@@ -185,7 +186,7 @@ mod tests {
             let edge = resized(&picture(200, 120, |x, y| if x + y > 150 { 1.0 } else { 0.001 }), to, 64);
             assert!(edge.iter().all(|p| (0.001..=1.0).contains(&p[0])), "{to:?}");
         }
-        // A grating too fine for the smaller picture becomes its mean; by single pixels it would become stripes.
+        // A grating too fine for the smaller picture becomes its mean; picking single pixels would make stripes.
         let grating = resized(&picture(240, 240, |x, _| if x % 3 == 0 { 1.0 } else { 0.0 }), (60, 60), 64);
         assert!(
             grating.iter().skip(60 * 30 + 5).take(50).all(|p| (p[0] - 1.0 / 3.0).abs() < 0.02),

@@ -17,9 +17,9 @@ pub enum Place<'a> {
 /// One setting of an operator.
 #[derive(Debug)]
 pub struct Setting<'a> {
-    /// Its name.
+    /// Name of the setting.
     pub key: &'static str,
-    /// What it does, with its unit, on one line.
+    /// What the setting does, with its unit, on one line.
     pub about: &'static str,
     /// Smallest and largest allowed value.
     pub range: (f64, f64),
@@ -28,12 +28,12 @@ pub struct Setting<'a> {
 }
 
 impl<'a> Setting<'a> {
-    /// A setting with a number in `range`.
+    /// Returns a setting with a number in `range`.
     pub(super) fn number(key: &'static str, range: (f64, f64), value: &'a mut f64, about: &'static str) -> Self {
         Setting { key, about, range, place: Place::Number(value) }
     }
 
-    /// A setting with a number in `range` that is estimated from the picture when it is not given.
+    /// Returns a setting with a number in `range` that is estimated from the picture when it is not given.
     pub(super) fn estimated(
         key: &'static str,
         range: (f64, f64),
@@ -43,17 +43,17 @@ impl<'a> Setting<'a> {
         Setting { key, about, range, place: Place::Estimated(value) }
     }
 
-    /// The setting for the range of the display.
+    /// Returns the setting for the range of the display.
     pub(super) fn range(value: &'a mut f64) -> Self {
         Setting::number("range", (3.0, 12.0), value, "stops from black to white on the display")
     }
 
-    /// The setting for the mean code value of the picture.
+    /// Returns the setting for the mean code value of the picture.
     pub(super) fn brightness(value: &'a mut f64) -> Self {
-        Setting::number("brightness", (0.1, 0.9), value, "mean code value of the picture, 0 to 1")
+        Setting::number("brightness", (0.1, 0.9), value, "mean pixel value of the picture, 0 to 1")
     }
 
-    /// The setting for saturation, which all operators have.
+    /// Returns the setting for saturation, which all operators have.
     pub(super) fn saturation(value: &'a mut f64) -> Self {
         Setting::number("saturation", (0.0, 3.0), value, "factor on the colourfulness of the scene; 0 is grey")
     }
@@ -68,7 +68,7 @@ impl<'a> Setting<'a> {
         Err(Error::Option { option: OPTION, reason })
     }
 
-    /// The current number; `None` when it is estimated from the picture.
+    /// Returns the current number; `None` when it is estimated from the picture.
     fn number_set(&self) -> Option<f64> {
         match &self.place {
             Place::Number(value) => Some(**value),
@@ -76,7 +76,7 @@ impl<'a> Setting<'a> {
         }
     }
 
-    /// The current value as text.
+    /// Returns the current value as text.
     pub fn value(&self) -> String {
         self.number_set().map_or_else(|| "from the picture".into(), |value| value.to_string())
     }
@@ -85,7 +85,7 @@ impl<'a> Setting<'a> {
 /// The command line option that changes settings.
 const OPTION: &str = "--tmo-set";
 
-/// Checks that every one of `settings`, those of the operator named `operator`, is within its range.
+/// Checks that each of the `settings` of the operator named `operator` is within its range.
 ///
 /// # Errors
 /// [`Error::Option`] for the first setting that is out of range.
@@ -93,7 +93,7 @@ pub(super) fn validate(settings: &[Setting], operator: &str) -> Result<()> {
     settings.iter().try_for_each(|s| s.number_set().map_or(Ok(()), |value| s.check(operator, value)))
 }
 
-/// Sets the one of `settings`, those of the operator named `operator`, whose name is `key`.
+/// Sets the setting named `key`, one of the `settings` of the operator named `operator`, to `value`.
 ///
 /// # Errors
 /// [`Error::Option`] when there is no such setting or the value is out of range.

@@ -1,9 +1,9 @@
 //! Tones: the result of an operator, which maps rows of radiance to code values.
 //!
-//! In: a `Guide` from luminance l (log2) to tone v, and a [`Curve`] from tone to the luminance of the display. Out: rows of code values. Colour is
-//! handled the same way for all operators but `natural`: hue is kept in linear light, saturation is corrected for the loss of contrast, and colours
-//! outside the gamut are desaturated. Cost: 8 ns a pixel and core.
-//! Source: Mantiuk, Tomaszewska, Heidrich, "Color Correction for Tone Mapping" (2009), equations 3 and 5.
+//! In: a `Guide` from luminance l (log2) to tone v, and a [`Curve`] from tone to the luminance of the display. Out:
+//! rows of code values. Colour is handled the same way for all operators but `natural`: hue is kept in linear light,
+//! saturation is corrected for the loss of contrast, and colours outside the gamut are desaturated. Cost: 8 ns a pixel
+//! and core. Source: Mantiuk, Tomaszewska, Heidrich, "Color Correction for Tone Mapping" (2009), equations 3 and 5.
 
 use super::display::{ToSrgb, into_gamut, luminance};
 use super::guide::{Columns, Guide, interpolated};
@@ -15,9 +15,11 @@ use crate::simd::{Loops, at_least, at_most, floor32, integer32, log2, vectorised
 use crate::tonemap::display::codes::{Code, Encoder};
 use crate::tonemap::display::oklab;
 
-/// Entries of the curve: so many to the octave, with linear interpolation, from the tone FIRST (log2) on.
+/// Number of entries of the curve per octave, between which it is interpolated linearly.
 const PER_OCTAVE: usize = 64;
+/// Number of octaves that the curve covers.
 const OCTAVES: usize = 48;
+/// Tone (log2) of the first entry of the curve.
 const FIRST: f32 = -24.0;
 
 /// Maps the tone v to the display.
@@ -28,8 +30,9 @@ pub struct Curve {
 }
 
 impl Curve {
-    /// Tabulates a curve. `display` gives the luminance of a tone, 0..=1 and never decreasing; `contrast` the slope of log display luminance over log
-    /// scene luminance, by which saturation is corrected. `saturation` is a factor on the result of Mantiuk's fit.
+    /// Tabulates a curve. `display` gives the luminance of a tone, 0..=1 and never decreasing. `contrast` gives the
+    /// slope of log display luminance with respect to log scene luminance, by which saturation is corrected.
+    /// `saturation` is a factor on the result of Mantiuk's fit.
     pub fn new(display: impl Fn(f64) -> f64, contrast: impl Fn(f64) -> f64, saturation: f64) -> Self {
         let entry = |i| {
             let v = f64::from(FIRST) + i as f64 / PER_OCTAVE as f64;
@@ -38,7 +41,7 @@ impl Curve {
         Curve { entries: (0..=PER_OCTAVE * OCTAVES).map(entry).collect() }
     }
 
-    /// The luminance that a display shows for the tone `v`, relative to its white.
+    /// Returns the luminance that a display shows for the tone `v`, relative to its white.
     pub fn display(&self, v: f32) -> f32 {
         let (entry, part) = place(v);
         let (p, q) = (self.entries[entry as usize][0], self.entries[entry as usize + 1][0]);
@@ -46,7 +49,7 @@ impl Curve {
     }
 }
 
-/// The entry before the tone `v`, and the fraction of the way to the next.
+/// Returns the index of the entry before the tone `v`, and the fraction of the way to the next entry.
 #[inline(always)]
 fn place(v: f32) -> (u32, f32) {
     let most = (PER_OCTAVE * OCTAVES) as f32 - 0.01;
@@ -57,7 +60,8 @@ fn place(v: f32) -> (u32, f32) {
     (integer32(whole), scaled - whole)
 }
 
-/// Mantiuk's equation 5 with the constants of the linear correction: s = (1 + k1) c^k2 / (1 + k1 c^k2), where c is the remaining contrast.
+/// Returns Mantiuk's equation 5 with the constants of the linear correction: s = (1 + k1) c^k2 / (1 + k1 c^k2), where c
+/// is the remaining contrast.
 fn corrected(contrast: f64) -> f64 {
     const K1: f64 = 2.3892;
     const K2: f64 = 0.8552;
@@ -71,32 +75,33 @@ pub struct Tones {
     to_srgb: ToSrgb,
     guide: Guide,
     curve: Curve,
-    /// Factor on the chroma of the scene and rotation of its hue in radians, for the cells of the guide; without it the curve sets the saturation.
+    /// For the cells of the guide: factor on the chroma of the scene, and rotation of its hue in radians. If `None`,
+    /// the curve sets the saturation.
     chroma: Option<Plane<[f32; 2]>>,
     /// Position of the picture's columns in the rows of the guide.
     columns: Columns,
 }
 
 impl Tones {
-    /// Tones of a picture `width` pixels wide.
+    /// Creates the tones of a picture that is `width` pixels wide.
     pub fn new(to_srgb: ToSrgb, guide: Guide, curve: Curve, width: usize) -> Self {
         let columns = guide.columns(width);
         Tones { to_srgb, guide, curve, chroma: None, columns }
     }
 
-    /// Sets the factor on chroma and the rotation of hue for the cells of the guide. Colours are then computed in OkLab, and those outside the gamut are
-    /// desaturated there.
+    /// Sets the factor on chroma and the rotation of hue for the cells of the guide. Colours are then computed in
+    /// OkLab, and those outside the gamut are desaturated there.
     pub fn with_chroma(self, chroma: Plane<[f32; 2]>) -> Self {
         Tones { chroma: Some(chroma), ..self }
     }
 
-    /// Tones that map everything to black, for a picture without light.
+    /// Returns tones that map everything to black, for a picture without light.
     pub fn black(width: usize) -> Self {
         let none = Curve::new(|_| 0.0, |_| 0.0, 0.0);
         Tones::new(ToSrgb::from(&crate::bracket::colour::Primaries::SRGB), Guide::shifted(0.0), none, width)
     }
 
-    /// Tones that map radiance 1 to the middle code value, 128, as in the reference frame that it was merged to.
+    /// Returns tones that map radiance 1 to the middle code value, 128, as in the reference frame of the merge.
     pub fn as_photographed(to_srgb: ToSrgb, width: usize) -> Self {
         let middle = srgb_to_linear(128.0 / 255.0);
         let curve = Curve::new(|v| middle * libm::exp2(v), |_| 1.0, 1.0);
@@ -117,7 +122,7 @@ impl Tones {
         }
     }
 
-    /// The display luminances, 0..=1, of the cells of `grid`.
+    /// Returns the display luminances, 0..=1, of the cells of `grid`.
     pub fn displayed(&self, grid: &Scene) -> Plane<f32> {
         let (width, height) = (self.columns.0.len(), grid.size.1);
         let centre = |cell: usize, end: usize| (cell * grid.side + grid.side / 2).min(end.max(1) - 1);
@@ -133,14 +138,14 @@ impl Tones {
         })
     }
 
-    /// The sRGB picture of `radiance`.
+    /// Returns the sRGB picture of `radiance`.
     pub fn picture(&self, radiance: &Plane<[f32; 3]>) -> Plane<[u8; 3]> {
         let encoder = Encoder::default();
         Plane::from_rows(radiance.width(), radiance.height(), |y, row| self.map(&encoder, y, radiance.row(y), row))
     }
 
-    /// Maps a block of radiance, in place, to light of the encoder's primaries relative to display white. `x` is the column of the first pixel; `lines`
-    /// and `chroma` are those of the row.
+    /// Maps a block of radiance, in place, to light of the encoder's primaries relative to display white. `x` is the
+    /// column of the first pixel; `lines` and `chroma` are what the guide gives for this row of the picture.
     #[inline(always)]
     fn pixels(
         &self,
@@ -214,7 +219,7 @@ impl Tones {
     }
 }
 
-/// Pixels that are computed together.
+/// Number of pixels that are computed together.
 const BLOCK: usize = 64;
 
 /// A row to map to code values.
@@ -254,7 +259,7 @@ mod tests {
     use super::*;
     use crate::bracket::colour::Primaries;
 
-    /// Ten stops from left to right, tinted.
+    /// Returns a tinted ramp that rises by ten stops from left to right.
     fn ramp() -> Plane<[f32; 3]> {
         Plane::from_rows(500, 70, |y, row| {
             for (x, p) in row.iter_mut().enumerate() {
@@ -269,8 +274,9 @@ mod tests {
         Tones::new(ToSrgb::from(&Primaries::SRGB), guide, curve, 500)
     }
 
-    /// The equations of the papers in doubles. The curves are linear over 1/64 stop: (ln 2 / 64)^2 / 8 = 1.5e-5 of a value; the logarithm is within 2e-7
-    /// of a value below 8. Half a code value is at most 0.0045 of linear light.
+    /// Compared with the equations of the papers in `f64`. The tolerance is half a code value, which is at most 0.0045
+    /// of linear light. Other errors are far smaller: curves are interpolated over 1/64 stop, (ln 2 / 64)^2 / 8 =
+    /// 1.5e-5 of a value, and the logarithm is within 2e-7 for values below 8.
     #[test]
     fn pixels_are_those_of_the_papers() {
         let map = ramp();

@@ -1,7 +1,7 @@
-//! Aligned frames: each merged frame on the grid of the reference, as TIFF with its own depth.
+//! Aligned frames: each merged frame on the grid of the reference, as TIFF with the depth of the frame.
 //!
-//! In: a bracket and its alignment. Out: one file per frame, `PREFIX` and the frame's name; black outside of the
-//! frame. Cost: one resampling of every frame, in bands.
+//! In: a bracket and its alignment. Out: one file per frame, named `PREFIX` and the name of the frame; black outside of
+//! the frame. Cost: one resampling of every frame, in bands.
 
 use super::metadata::Metadata;
 use super::row_writer::RowWriter;

@@ -5,7 +5,8 @@
 //! about one encoded band per thread in memory, 16 if the disk is slower than the encoder. Buffers are reused.
 //!
 //! Every thread takes the next band. A thread that has encoded one writes all bands that are next in order, unless
-//! another thread is writing; the others continue to encode. No thread waits for another.
+//! another thread is writing; the others continue to encode. No thread waits for another unless [`MOST_WAITING`] bands
+//! wait for the disk.
 
 use crate::error::Result;
 use crate::plane::BAND_ROWS;
@@ -25,7 +26,7 @@ const MOST_WAITING: usize = 16;
 pub(super) struct Bands<P, S = ()> {
     pub(super) width: usize,
     pub(super) height: usize,
-    /// Number of rows passed on; always the start of a band, or the end.
+    /// Number of rows that were passed to encoders; always the start of a band, or the end.
     done: usize,
     rest: Vec<P>,
     scratch: Mutex<Vec<S>>,
@@ -124,11 +125,11 @@ struct Line<R, F> {
     /// Number of bands that were started.
     taken: AtomicUsize,
     queue: Mutex<Queue<R>>,
-    /// Locked by the thread that writes; with the result so far.
+    /// The sink, and the result so far; locked by the thread that writes.
     sink: Mutex<(F, Result<()>)>,
 }
 
-/// Bands by number; `next` is the next to be written.
+/// Encoded bands by number; `next` is the number of the band to be written next.
 struct Queue<R> {
     next: usize,
     ready: BTreeMap<usize, (Vec<u8>, R)>,
@@ -170,7 +171,7 @@ impl<R, F: FnMut(&[u8], R) -> Result<()>> Line<R, F> {
             if outcome.is_ok() {
                 *outcome = sink(&bytes, said);
                 if outcome.is_err() {
-                    // No other band need be started.
+                    // A number above those of all bands, so that no further band is started.
                     self.taken.store(usize::MAX / 2, Ordering::Relaxed);
                 }
             }
@@ -187,7 +188,7 @@ impl<R, F: FnMut(&[u8], R) -> Result<()>> Line<R, F> {
     }
 }
 
-/// A panic in another thread leaves no inconsistent state that is used afterwards.
+/// Locks `mutex`, also after a panic in another thread, which leaves no inconsistent state that is used afterwards.
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -197,7 +198,7 @@ mod tests {
     use super::*;
     use crate::error::Error;
 
-    /// Any portions must give the same bands, identified by (first row, rows, first value).
+    /// Any portions must give the same bands, identified by (first row, number of rows, first value).
     #[test]
     fn bands_do_not_depend_on_the_portions() {
         let (width, height) = (3, 64 * 18 + 5);

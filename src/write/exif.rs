@@ -1,7 +1,8 @@
 //! EXIF of a picture: the capture data of the reference frame, and the properties of the file.
 //!
-//! In: the [`Metadata`], with the EXIF fields of the reference frame where it has any. Out: a TIFF block, or its fields. Cost: negligible.
-//! Source: EXIF 2.32, sections 4.6.4 and 4.6.5, and table 17 for the fields that a JPEG must have.
+//! In: the [`Metadata`], with the EXIF fields of the reference frame where it has any. Out: a TIFF block, or its
+//! fields. Cost: negligible. Source: EXIF 2.32, sections 4.6.4 and 4.6.5, and table 17 for the fields that a JPEG must
+//! have.
 
 use super::metadata::{Metadata, one_line};
 use ::exif::experimental::Writer;
@@ -9,7 +10,7 @@ use ::exif::{Field, In, Rational, Reader, Tag, Value};
 use std::collections::BTreeMap;
 use std::io::Cursor;
 
-/// Largest content of a JPEG segment after its name.
+/// Largest size, in bytes, of the content of a JPEG segment after its name.
 const MOST_BYTES: usize = 65_500;
 
 /// Whether the metadata have capture data of the photograph.
@@ -20,7 +21,7 @@ pub(crate) fn tells(metadata: &Metadata) -> bool {
 /// Returns the EXIF block of a picture of `size` pixels.
 pub(crate) fn block(size: (usize, usize), metadata: &Metadata) -> Option<Vec<u8>> {
     let whole = written(&fields(of_the_photograph(metadata), size, metadata));
-    // A block that is larger than a segment is not from a camera; then only the fields of the metadata are written.
+    // A block that is larger than a segment is not from a camera; then only fields made from the metadata are written.
     whole.filter(|block| block.len() <= MOST_BYTES).or_else(|| written(&fields(of(metadata), size, metadata)))
 }
 
@@ -113,14 +114,14 @@ fn of(metadata: &Metadata) -> Vec<Field> {
         }
     }
     if let Some(iso) = metadata.iso.map(f64::round).filter(|iso| *iso >= 1.0) {
-        // Values that do not fit are 65535, by the standard.
+        // Sensitivities that do not fit 16 bits are 65535, by the standard.
         put(Tag::PhotographicSensitivity, Value::Short(vec![iso.min(65535.0) as u16]));
     }
     fields
 }
 
-/// Returns the closest fraction to `v`, which is 0 or above: 1/n if that is exact, otherwise decimal, as fine as 32
-/// bits allow.
+/// Returns the closest fraction to `v`, which is 0 or above: 1/n if that is exact, otherwise a decimal fraction, as
+/// fine as necessary or as 32 bits allow.
 pub(crate) fn fraction(v: f64) -> (u32, u32) {
     let most = f64::from(u32::MAX);
     let whole = |x: f64| (x - x.round()).abs() <= 1e-6 * x && x.round() >= 1.0 && x < most;
@@ -132,7 +133,7 @@ pub(crate) fn fraction(v: f64) -> (u32, u32) {
     let exact = decimal.clone().find(|&d| (v * f64::from(d) - (v * f64::from(d)).round()).abs() <= 1e-9 * v);
     let finest = decimal.chain([1_000_000_000]).rfind(|&d| v * f64::from(d) < most).unwrap_or(1);
     let denominator = exact.filter(|&d| v * f64::from(d) < most).unwrap_or(finest);
-    // The cast limits larger values to the type.
+    // The cast limits larger values to `u32::MAX`.
     ((v * f64::from(denominator)).round() as u32, denominator)
 }
 

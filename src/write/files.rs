@@ -1,8 +1,8 @@
 //! All output files of a run, written in parallel from the same rows.
 //!
-//! In: radiance and pictures by rows, in portions of any size. Out: a complete temporary file for every output. Cost: that of the encoders, spread
-//! over all threads: bands of one file are encoded while another is written, and a file is synced after its last row while others are
-//! encoded. Memory: a few encoded bands for each file.
+//! In: radiance and pictures by rows, in portions of any size. Out: a complete temporary file for every output. Cost:
+//! that of the encoders, spread over all threads: bands of one file are encoded while another is written, and a file is
+//! synced after its last row while others are encoded. Memory: a few encoded bands for each file.
 
 use super::format::{Format, Output};
 use super::jpeg::{self, Rendition, Survey};
@@ -33,7 +33,7 @@ pub struct Settled {
 }
 
 impl Settled {
-    /// Determines them for `radiance`, shown as `display`, written to `outputs`.
+    /// Determines the settings for `radiance`, shown as `display`, written to `outputs`.
     pub(super) fn of(
         outputs: &[Output],
         radiance: &RadianceMap,
@@ -50,9 +50,9 @@ impl Settled {
         Self::seen(outputs, options, scene, bright, |see| see(0, radiance), codes)
     }
 
-    /// Determines them for radiance of size and primaries `scene`, of which 0.1 % is above the luminance `bright`,
-    /// written to `outputs`. If necessary, `each` passes all of it, slab by slab with the number of the first row,
-    /// and `codes` returns the picture of rows.
+    /// Determines the settings for radiance of `size` and `primaries`, of which 0.1 % is above the luminance `bright`,
+    /// written to `outputs`. If necessary, `each` passes all radiance, slab by slab with the number of the first row,
+    /// and `codes` writes the codes of the picture for a row, given its number and its radiance.
     ///
     /// # Errors
     /// Those of `each`.
@@ -116,7 +116,7 @@ struct Slot<P> {
 }
 
 impl<P: Sync> Slot<P> {
-    /// Adds rows; the file ends after the last one.
+    /// Adds rows; the file ends after the last row of the picture.
     fn push(&mut self, rows: &[P]) -> Result<()> {
         self.state = match std::mem::replace(&mut self.state, State::Failed) {
             State::Started(mut writer, missing) => {
@@ -130,7 +130,7 @@ impl<P: Sync> Slot<P> {
         Ok(())
     }
 
-    /// Ends the file; an incomplete one is an error of its writer.
+    /// Ends the file; if rows are missing, its writer returns an error.
     fn ended(self) -> Result<(usize, Written)> {
         let written = match self.state {
             State::Started(writer, _) => writer.finish()?,
@@ -149,7 +149,7 @@ struct Both {
 }
 
 impl Both {
-    /// Adds rows of either or both.
+    /// Adds rows of radiance, of the picture, or of both.
     fn push(&mut self, radiance: &[[f32; 3]], display: &[[u8; 3]]) -> Result<()> {
         let mut writer = self.state.take().ok_or_else(|| failed(&self.path))?;
         writer.push(radiance, display)?;
@@ -167,7 +167,7 @@ fn failed(path: &Path) -> Error {
     Error::Write { path: path.to_owned(), source: io::Error::other("an earlier write failed") }
 }
 
-/// Adds `rows` to all of `slots` in parallel. Returns the first error in order.
+/// Adds `rows` to all of `slots` in parallel. Returns the first error in the order of `slots`.
 fn push_all<P: Sync>(slots: &mut [Slot<P>], rows: &[P]) -> Result<()> {
     if rows.is_empty() {
         return Ok(());
@@ -178,13 +178,13 @@ fn push_all<P: Sync>(slots: &mut [Slot<P>], rows: &[P]) -> Result<()> {
 
 /// All result files of a run: radiance maps and pictures, by extension.
 ///
-/// Push at least four bands of [`BAND_ROWS`](crate::plane::BAND_ROWS) rows at a time, so that every thread has one;
-/// the portions do not affect the files. Nothing remains if it is dropped before the end.
+/// Push at least four bands of [`BAND_ROWS`](crate::plane::BAND_ROWS) rows at a time, so that several threads have
+/// work; the portions do not affect the files. No file remains if `Files` is dropped before the end.
 pub struct Files {
     radiance: Vec<Slot<[f32; 3]>>,
     eight: Vec<Slot<[u8; 3]>>,
     sixteen: Vec<Slot<[u16; 3]>>,
-    /// Files that need both.
+    /// Files that need both radiance and picture.
     both: Vec<Both>,
 }
 
@@ -236,8 +236,8 @@ impl Files {
         !self.eight.is_empty() || !self.sixteen.is_empty() || !self.both.is_empty()
     }
 
-    /// Adds the next rows of radiance for the maps, and for the pictures the next `codes` and the radiance `shown` by
-    /// them, in the same size. All files are written in parallel; any rows may be empty.
+    /// Adds the next rows of `radiance` for the maps, and for the pictures the next `codes` and the radiance `shown` by
+    /// them, in the size of the picture. All files are written in parallel; each of the three may be empty.
     ///
     /// # Errors
     /// [`Error::Write`] of the first file in order that failed. No more rows can be added then.
@@ -324,7 +324,7 @@ mod tests {
         let picture = DisplayImage { pixels: Plane::filled(9, 3, [10, 20, 30]) };
         let (metadata, options) = (Metadata::default(), Options::default());
         let there = || std::fs::read_dir(dir.path()).unwrap().count();
-        // The last one fails when four are written: no file may remain, not even under a temporary name.
+        // The last file cannot be created, after five others were: no file may remain, not even under a temporary name.
         let mut and_a_wrong_one = paths.clone();
         and_a_wrong_one.push("nowhere/a.exr".into());
         assert!(write(&and_a_wrong_one, &radiance, &picture, &metadata, &options).is_err());
@@ -340,8 +340,8 @@ mod tests {
         assert!(matches!(again, Err(Error::OutputExists { .. })));
         assert_eq!(there(), 5);
     }
-    /// Portions of any size, both kinds in parallel or not, give the same files as all at once; an interrupted run
-    /// leaves nothing.
+    /// Portions of any size, with radiance and picture together or one after the other, give the same files as all rows
+    /// at once; a run with missing rows leaves no file.
     #[test]
     fn files_do_not_depend_on_how_they_are_fed() {
         let dir = tempfile::tempdir().unwrap();

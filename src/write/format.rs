@@ -42,7 +42,7 @@ impl Format {
         }
     }
 
-    /// Returns the format for the extension of `path`, if it should be a picture.
+    /// Returns the picture format for the extension of `path`.
     ///
     /// # Errors
     /// [`Error::UnknownExtension`]; [`Error::Option`] for a format that contains only radiance.
@@ -62,7 +62,7 @@ impl Format {
         }
     }
 
-    /// Whether it contains linear radiance; otherwise the display picture.
+    /// Whether the format contains linear radiance; otherwise it contains the display picture.
     pub fn holds_radiance(self) -> bool {
         match self {
             Format::Exr | Format::Hdr | Format::Tiff => true,

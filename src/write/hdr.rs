@@ -1,9 +1,9 @@
 //! Radiance `.hdr`: RGBE or XYZE pixels after a text header.
 //!
 //! In: linear RGB by rows. Out: a file that `evalglare`, `pcomb` and `pfilt` read with the right units. RGBE is in
-//! W/sr/m2 times EXPOSURE: luminance = 179 (0.2126 R + 0.7152 G + 0.0722 B) / EXPOSURE for BT.709's primaries. XYZE
-//! is in cd/m2 times EXPOSURE: luminance = Y / EXPOSURE; grey has X = Y = Z, as in Radiance, and there are no
-//! primaries. [`read`](crate::read) reads it. Cost: 25 ns per pixel and core, and 3 to 4 bytes. Source: "Radiance
+//! W/sr/m2 times EXPOSURE: luminance = 179 (0.2126 R + 0.7152 G + 0.0722 B) / EXPOSURE for BT.709's primaries. XYZE is
+//! in cd/m2 times EXPOSURE: luminance = Y / EXPOSURE; grey has X = Y = Z, as in Radiance, and there are no primaries.
+//! [`read`](crate::read) reads it. Cost: 25 ns per pixel and core; files have 3 to 4 bytes per pixel. Source: "Radiance
 //! File Formats" (Ward, LBNL), "Picture Format"; `src/common/header.c`, `color.c`, `src/px/ra_xyze.c`.
 
 use super::bands::Bands;
@@ -22,7 +22,7 @@ pub const WHITE_EFFICACY: f64 = 179.0;
 #[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
 #[strum(serialize_all = "kebab-case")]
 pub enum Encoding {
-    /// Red, green and blue with a shared exponent.
+    /// Red, green and blue with a shared exponent: the usual encoding.
     #[default]
     Rgbe,
     /// CIE XYZ with a shared exponent: contains every visible colour.
@@ -39,7 +39,7 @@ pub struct Writer {
     over: u64,
 }
 
-/// Matrix from the linear RGB of the rows to the stored components.
+/// Conversion from the linear RGB of the rows to the stored components.
 #[derive(Debug, Clone, Copy)]
 struct ToStored {
     xyz: Option<NeutralXyz>,
@@ -49,7 +49,8 @@ struct ToStored {
 
 impl ToStored {
     fn of(metadata: &Metadata, encoding: Encoding) -> Self {
-        // Calibrated radiance is stored in its unit, so that programs that ignore EXPOSURE are also right.
+        // Calibrated radiance is stored in the unit of the encoding, W/sr/m2 or cd/m2, so that programs that ignore
+        // EXPOSURE are also right.
         let factor = match (metadata.cd_m2_per_unit, encoding) {
             (None, _) => 1.0,
             (Some(luminance), Encoding::Rgbe) => luminance.get() / WHITE_EFFICACY,
@@ -106,7 +107,7 @@ impl RowWriter<[f32; 3]> for Writer {
     }
 }
 
-/// Buffers for a row: as stored, and its components.
+/// Buffers for a row: its values in the stored unit and colour space, and their encoding.
 #[derive(Debug, Default)]
 struct Scratch {
     stored: Vec<[f32; 3]>,
@@ -142,7 +143,7 @@ fn header((width, height): (usize, usize), metadata: &Metadata, encoding: Encodi
     lines.extend(metadata.camera().map(|c| format!("CAMERA={c}")));
     let date = metadata.capture.date.as_deref().map(one_line);
     lines.extend(date.map(|d| format!("CAPDATE= {d}")));
-    // Our own names; readers skip unknown ones.
+    // LENS and the names below are specific to hdralign; other readers skip unknown names.
     lines.extend(metadata.capture.lens.as_deref().map(|l| format!("LENS={}", one_line(l))));
     let numbers = [
         ("FOCAL_LENGTH_MM", metadata.capture.focal_length_mm),
@@ -151,7 +152,8 @@ fn header((width, height): (usize, usize), metadata: &Metadata, encoding: Encodi
         ("ISO", metadata.iso),
     ];
     lines.extend(numbers.into_iter().filter_map(|(name, v)| v.map(|v| format!("{name}={v}"))));
-    // At column 0 and once: evalglare fails on a tab before it, and multiplies repeated ones.
+    // EXPOSURE is at column 0 and occurs once: evalglare fails on a tab before it, and multiplies the values of
+    // several.
     lines.push(format!("EXPOSURE={:e}", exposure(metadata, encoding)));
     match encoding {
         Encoding::Rgbe => {
@@ -165,8 +167,8 @@ fn header((width, height): (usize, usize), metadata: &Metadata, encoding: Encodi
     format!("{}\n\n-Y {height} +X {width}\n", lines.join("\n"))
 }
 
-/// Returns the divisor from a stored value to W/sr/m2 (RGBE) or cd/m2 (XYZE). Relative radiance 1 counts as 1
-/// W/sr/m2.
+/// Returns the value of EXPOSURE: a stored value divided by it is in W/sr/m2 (RGBE) or cd/m2 (XYZE). Relative radiance
+/// 1 counts as 1 W/sr/m2.
 fn exposure(metadata: &Metadata, encoding: Encoding) -> f64 {
     match (metadata.cd_m2_per_unit, encoding) {
         (None, Encoding::Xyze) => metadata.exposure_scale.get() / WHITE_EFFICACY,
@@ -239,7 +241,8 @@ mod tests {
         assert_eq!(bytes, [golden.as_bytes(), &[128, 64, 32, 129].repeat(6)].concat());
     }
 
-    /// A stored white must mean `cd_m2_per_unit` over the scale: 179 * 1 / EXPOSURE, or Y / EXPOSURE.
+    /// The luminance of white must be `cd_m2_per_unit` / `exposure_scale`: 179 G / EXPOSURE in RGBE, Y / EXPOSURE in
+    /// XYZE.
     #[test]
     fn calibrated_luminance_is_in_pixels_and_exposure() {
         let metadata = Metadata {
@@ -252,7 +255,7 @@ mod tests {
         let (bytes, _) = written(&white, &metadata);
         let (map, back) = parsed(&bytes);
         assert_eq!(back.exposure_scale, factor(4.0));
-        // 2 W/sr/m2 stored, and half a step.
+        // 358 cd/m2 / 179 = 2 W/sr/m2 is stored with the mantissa 128; the reader adds half a step to the mantissa.
         assert_eq!(map.pixels.at(0, 0), [2.0 * 128.5 / 128.0; 3]);
         assert!(bytes.starts_with(b"#?RADIANCE\n# one two\nSOFTWARE="));
         let (bytes, _) = encoded(&white, &metadata, Encoding::Xyze);
@@ -261,12 +264,12 @@ mod tests {
         let relative = Metadata { cd_m2_per_unit: None, ..metadata };
         let (bytes, _) = encoded(&white, &relative, Encoding::Xyze);
         let (map, back) = parsed(&bytes);
-        // When read back, both are in W/sr/m2.
+        // Read back, the scale is again 4 and white is 1, as in RGBE.
         assert!((back.exposure_scale.get() - 4.0).abs() < 1e-12 && (map.pixels.at(0, 0)[1] - 1.0).abs() < 0.01);
     }
 
-    /// The `image` crate decodes to mantissa * 2^(exponent - 136), without the half step: our values are those plus
-    /// half a step of the pixel.
+    /// The `image` crate decodes to mantissa * 2^(exponent - 136), without the half step; our values are larger by half
+    /// a step of the pixel.
     #[test]
     fn another_decoder_reads_the_same_pixels() {
         use image::ImageDecoder;

@@ -12,7 +12,7 @@ use crate::merge::radiance::calibration::Factor;
 pub struct Metadata {
     /// The program and its version: `hdralign 0.1.0`.
     pub software: String,
-    /// Camera make and model, and the capture date of the reference.
+    /// Capture data of the reference frame, such as camera and date.
     pub capture: Capture,
     /// Shutter time of the reference in seconds.
     pub time_s: Option<f64>,
@@ -22,10 +22,10 @@ pub struct Metadata {
     pub iso: Option<f64>,
     /// The primaries and the white of the pixels.
     pub primaries: Primaries,
-    /// The factor of the pixels: divided by it they are radiance. 1 for radiance as merged.
+    /// The factor of the pixel values: divided by this factor, they are radiance. 1 for radiance as merged.
     pub exposure_scale: Factor,
-    /// The luminance of radiance (1, 1, 1), before [`exposure_scale`](Self::exposure_scale), in cd/m2, if it is
-    /// calibrated.
+    /// The luminance of radiance (1, 1, 1) in cd/m2, before multiplication by [`exposure_scale`](Self::exposure_scale);
+    /// `None` if radiance is not calibrated.
     pub cd_m2_per_unit: Option<Factor>,
     /// The ICC profile of display-encoded pixels (8- and 16-bit TIFF, PNG); `None` means sRGB. Radiance formats
     /// record primaries.

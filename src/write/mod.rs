@@ -1,11 +1,13 @@
-//! Writing of radiance maps and pictures: every output is written to a temporary file, and all are renamed when all are complete.
+//! Writing of radiance maps and pictures: every output is written to a temporary file, and all are renamed when all are
+//! complete.
 //!
-//! In: pixels by rows, in order, in portions of any size, and the [`Metadata`] for the headers. Out: files. A path that exists is a complete
-//! file; a failed run leaves nothing behind. Bands of 64 rows are encoded in parallel and written in order, so the bytes do not depend on
-//! the number of threads. Cost: see each format; the commit waits for the disk (fsync).
+//! In: pixels by rows, in order, in portions of any size, and the [`Metadata`] for the headers. Out: files. A path that
+//! exists is a complete file; a failed run leaves nothing behind. Bands of 64 rows are encoded in parallel and written
+//! in order, so the bytes do not depend on the number of threads. Cost: see each format; the commit waits for the disk
+//! (fsync).
 //!
-//! Each module uses only those before it: `deflate`, `staging`, `bands`, `metadata`, `row_writer`, `format`, `exif`, then the formats (`exr`, `hdr`,
-//! `tiff`, `png`, `jpeg`), `picture`, `aligned`, `files`.
+//! Each module uses only those before it: `deflate`, `staging`, `bands`, `metadata`, `row_writer`, `format`, `exif`,
+//! then the formats (`exr`, `hdr`, `tiff`, `png`, `jpeg`), `picture`, `aligned`, `files`.
 
 pub(crate) mod aligned;
 mod bands;
@@ -81,7 +83,7 @@ pub fn write(
     options: &Options,
 ) -> Result<Vec<Written>> {
     if options.picture != picture::Options::default() {
-        let reason = "the given picture has 8 bits; `tonemap` and `merge` write other depths".to_owned();
+        let reason = "the picture is written as it is given, with 8 bits; other picture options need `pipeline::run` or `pipeline::tonemap_file`".to_owned();
         return Err(Error::Option { option: "--bit-depth", reason });
     }
     let outputs = Output::results(paths)?;

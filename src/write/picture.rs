@@ -31,7 +31,7 @@ pub enum Size {
     Full,
     /// Number of pixels of the longest side.
     Longest(usize),
-    /// Percentage of both sides.
+    /// Percentage of the width and of the height of the radiance.
     Percent(f64),
 }
 
@@ -100,7 +100,7 @@ impl Options {
             (self.depth != Depth::default()).then_some("--bit-depth"),
             (self.colours != Colours::default()).then_some("--picture-colour"),
             (self.size != Size::default()).then_some("--resize"),
-            // Without any output the picture is returned in memory.
+            // Without any output, the picture is returned in memory, and adjustments apply to it.
             self.adjust.asked().filter(|_| !outputs.is_empty()),
         ];
         if outputs.iter().all(|output| output.format.holds_radiance())

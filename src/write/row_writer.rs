@@ -9,7 +9,7 @@ use crate::plane::Plane;
 /// The interface of output formats: rows in order, then the end. `P` is the pixel.
 ///
 /// Rows may arrive while they are merged, and several writers may run at the same time. A writer encodes its rows in
-/// parallel before it returns. Nothing remains if it is dropped before the end.
+/// parallel before it returns. No file remains if the writer is dropped before the end.
 pub trait RowWriter<P>: Send {
     /// Adds the next complete rows, in order: any number of them, with `rows.len()` a multiple of the width.
     ///

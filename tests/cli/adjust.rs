@@ -11,19 +11,20 @@ use serde_json::Value;
 
 const MERGE: &str = "merge w2.jpg w3.jpg w4.jpg --align none -q --force";
 
-/// Returns the codes of an 8-bit picture.
+/// Returns the pixels of an 8-bit picture.
 fn codes(folder: &Folder, name: &str) -> Vec<[u8; 3]> {
     let picture = image::open(folder.at(name)).unwrap_or_else(|e| panic!("{name}: {e}")).into_rgb8();
     picture.pixels().map(|pixel| pixel.0).collect()
 }
 
-/// Luminance on the display.
+/// Returns the luminance of a pixel on the display, relative to white.
 fn luminance([r, g, b]: [u8; 3]) -> f64 {
     let light = |code: u8| srgb_to_linear(f64::from(code) / 255.0);
     0.2126 * light(r) + 0.7152 * light(g) + 0.0722 * light(b)
 }
 
-/// Mean of red minus blue, relative to the mean code; and the difference between the channels.
+/// Returns the mean of red minus blue, and the mean of the largest difference between two channels of a pixel, in code
+/// values.
 fn tint(pixels: &[[u8; 3]]) -> (f64, f64) {
     let mean = |of: &dyn Fn(&[u8; 3]) -> f64| pixels.iter().map(of).sum::<f64>() / pixels.len() as f64;
     let code = |c: usize| mean(&|p| f64::from(p[c]));
@@ -31,7 +32,7 @@ fn tint(pixels: &[[u8; 3]]) -> (f64, f64) {
     (code(0) - code(2), apart)
 }
 
-/// Log odds of luminance, in stops, at a quantile of the pixels from the darkest on.
+/// Returns the log odds of the luminance, in stops, at the quantile `part` of the pixels, sorted from dark to bright.
 fn at(pixels: &[[u8; 3]], part: f64) -> f64 {
     let mut all: Vec<f64> = pixels.iter().map(|&pixel| luminance(pixel)).collect();
     all.sort_by(f64::total_cmp);
@@ -44,7 +45,7 @@ fn refused(run: &Run, said: &[&str]) {
     assert!(said.iter().all(|part| run.stderr.contains(part)), "{}", run.stderr);
 }
 
-/// Codes are rounded, so log odds of dark pixels are accurate to a tenth of a stop.
+/// Code values are rounded, so log odds of dark pixels are accurate only to a tenth of a stop.
 #[test]
 fn every_option_changes_the_picture_of_every_command_and_operator_alike() {
     let folder = Folder::with_bracket();
@@ -189,11 +190,12 @@ fn picture_of_no_lights_colour_keeps_its_white_with_a_warning() {
     write::commit(files.expect("radiance").into_iter().map(|w| w.file).collect(), false).expect("a name");
     let plain = folder.line("tonemap green.exr -o a.png -q").done();
     let run = folder.line("tonemap green.exr -o b.png --white-balance auto").done();
-    assert!(run.stderr.contains("not that of a light source") && plain.stderr.is_empty(), "{}", run.stderr);
+    assert!(run.stderr.contains("not the colour of a light source") && plain.stderr.is_empty(), "{}", run.stderr);
     assert!(codes(&folder, "a.png") == codes(&folder, "b.png"));
 }
 
-/// A grey spot is a pixel of the picture before resizing; with a crop, counted from its corner.
+/// The position of a grey spot is that of a pixel before resizing; with a crop, it is relative to the corner of the
+/// crop.
 #[test]
 fn spot_is_counted_from_the_corner_of_the_part_that_is_kept() {
     let folder = Folder::with_bracket();

@@ -18,18 +18,18 @@ mod sensors;
 mod sizes;
 mod sweep;
 
-/// Frame `i` of the small bracket, 300 x 200 pixels, decoded once.
+/// Returns frame `i` of the small bracket, 300 x 200 pixels; it is decoded once.
 fn frame(i: usize) -> RgbImage {
     static FRAMES_SEEN: OnceLock<Vec<RgbImage>> = OnceLock::new();
     FRAMES_SEEN.get_or_init(|| (1..=FRAMES).map(small).collect())[i - 1].clone()
 }
 
-/// 120 x 80 pixels of one colour.
+/// Returns a picture of 120 x 80 pixels of one colour.
 fn flat(colour: [u8; 3]) -> RgbImage {
     RgbImage::from_pixel(120, 80, Rgb(colour))
 }
 
-/// Writes each picture with the EXIF of its frame `i`, as `f<n>.jpg`, for `n` from 1 on.
+/// Writes each picture with the EXIF of the frame given with it, as `f1.jpg`, `f2.jpg`, ...; returns the names.
 fn exposed(folder: &Folder, pictures: &[(&RgbImage, usize)]) -> String {
     let name = |n: usize| format!("f{}.jpg", n + 1);
     for (n, (picture, i)) in pictures.iter().enumerate() {
@@ -38,7 +38,7 @@ fn exposed(folder: &Folder, pictures: &[(&RgbImage, usize)]) -> String {
     (0..pictures.len()).map(name).collect::<Vec<_>>().join(" ")
 }
 
-/// Writes the pixels losslessly, without EXIF, as `f<n>.png`.
+/// Writes the pictures losslessly, without EXIF, as `f1.png`, `f2.png`, ...; returns the names.
 fn lossless(folder: &Folder, pictures: &[&RgbImage]) -> String {
     let name = |n: usize| format!("f{}.png", n + 1);
     for (n, picture) in pictures.iter().enumerate() {
@@ -47,26 +47,26 @@ fn lossless(folder: &Folder, pictures: &[&RgbImage]) -> String {
     (0..pictures.len()).map(name).collect::<Vec<_>>().join(" ")
 }
 
-/// `picture` as a PNG.
+/// Returns `picture` as a PNG.
 fn png(picture: &RgbImage) -> Vec<u8> {
     let mut bytes = Cursor::new(Vec::new());
     picture.write_to(&mut bytes, image::ImageFormat::Png).expect("a PNG");
     bytes.into_inner()
 }
 
-/// A JPEG with this exposure time in its EXIF, in s, and without flash.
+/// Returns `picture` as a JPEG whose EXIF has an exposure time of `num / denom` s and no flash.
 fn timed(picture: &RgbImage, num: u32, denom: u32) -> Vec<u8> {
     shot(picture, (num, denom), false)
 }
 
-/// `picture` as a JPEG with this time in its EXIF, and with or without flash.
+/// Returns `picture` as a JPEG whose EXIF has this exposure time (s), with or without flash.
 fn shot(picture: &RgbImage, (num, denom): (u32, u32), flash: bool) -> Vec<u8> {
-    // 0x19: fired, in automatic mode; 0x18: did not fire.
+    // 0x19: the flash fired, in automatic mode; 0x18: it did not fire.
     let flash = exif::Value::Short(vec![0x18 + u16::from(flash)]);
     jpeg_with(picture, &[(Tag::ExposureTime, ratio(num, denom)), (Tag::Flash, flash)])
 }
 
-/// `file`, a JPEG or a PNG, with the EXIF of frame `i`.
+/// Returns `file`, a JPEG or PNG, with the EXIF of frame `i`.
 fn with_exif_of(i: usize, file: Vec<u8>) -> Vec<u8> {
     let exif =
         img_parts::jpeg::Jpeg::from_bytes(Bytes::from(crate::support::small_jpeg(i).to_vec())).expect("a JPEG").exif();
@@ -75,7 +75,7 @@ fn with_exif_of(i: usize, file: Vec<u8>) -> Vec<u8> {
     file.encoder().bytes().to_vec()
 }
 
-/// A frame of another scene, as bright as frame `i`: a wall of planks and a lamp.
+/// Returns a frame of another scene, a wall of planks and a lamp, which is as bright as frame `i`.
 fn elsewhere(i: usize) -> RgbImage {
     let light = libm::exp2(2.0 * i as f64 - 6.0);
     let mut random = Random(77);
@@ -91,7 +91,7 @@ fn elsewhere(i: usize) -> RgbImage {
     })
 }
 
-/// Random numbers in 0..1 that are the same on every machine (Knuth's congruential generator).
+/// A generator of random numbers in 0..1 that are the same on every machine (Knuth's congruential generator).
 struct Random(u64);
 
 impl Random {
@@ -100,7 +100,7 @@ impl Random {
         (self.0 >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// `picture` with uniform noise from -`most` to `most` codes in each sample.
+    /// Returns `picture` with uniform noise from -`most` to `most` code values in each sample.
     fn noisy(&mut self, picture: &RgbImage, most: f64) -> RgbImage {
         let mut noisy = picture.clone();
         for sample in noisy.iter_mut() {
@@ -110,7 +110,7 @@ impl Random {
     }
 }
 
-/// `picture` with every code multiplied by `factor`.
+/// Returns `picture` with every code value multiplied by `factor`.
 fn times(picture: &RgbImage, factor: f64) -> RgbImage {
     let mut scaled = picture.clone();
     scaled.iter_mut().for_each(|v| *v = (f64::from(*v) * factor).round().min(255.0) as u8);
@@ -167,7 +167,7 @@ impl Merged {
             .collect()
     }
 
-    /// Whether one warning contains all of these parts, and counts as `degrades`.
+    /// Returns whether there is a warning that contains all `parts` and whose `degrades` is as given.
     fn warns(&self, degrades: bool, parts: &[&str]) -> bool {
         self.report["warnings"].as_array().expect("a list").iter().any(|w| {
             let message = w["message"].as_str().expect("a text");
@@ -175,7 +175,7 @@ impl Merged {
         })
     }
 
-    /// Positions of the corners of the reference in `file`, in pixels.
+    /// Returns the positions in the frame `file` of the corners of the reference, in pixels.
     fn corners(&self, file: &str) -> [[f64; 2]; 4] {
         let h = &self.frame(file)["alignment"]["homography"];
         let n = |i: usize| h[i].as_f64().expect("a number");
@@ -186,14 +186,15 @@ impl Merged {
     }
 }
 
-/// Distance between the transforms that two runs found for `file`: the largest of a corner, in pixels.
+/// Returns the distance between the transforms that two runs found for `file`: the largest distance of a corner, in
+/// pixels.
 fn apart(a: &Merged, b: &Merged, file: &str) -> f64 {
     let (a, b) = (a.corners(file), b.corners(file));
     let distance = |i: usize| ((a[i][0] - b[i][0]).powi(2) + (a[i][1] - b[i][1]).powi(2)).sqrt();
     (0..4).map(distance).fold(0.0, f64::max)
 }
 
-/// Checks that a merge fails: exit code 1, one error with these parts, nothing on stdout, no files.
+/// Checks that a merge fails: exit code 1, an error with the parts `said`, nothing on stdout, no files.
 fn refused(folder: &Folder, line: &str, said: &[&str]) {
     let before = folder.listing();
     let run = folder.line(&format!("merge {line} -o a.exr -o a.png"));
@@ -204,7 +205,7 @@ fn refused(folder: &Folder, line: &str, said: &[&str]) {
     }
 }
 
-/// The exit code of the same merge with `--strict`.
+/// Returns the exit code of a merge of `line` with `--strict`.
 fn strict(folder: &Folder, line: &str) -> i32 {
     folder.line(&format!("merge {line} -o strict.exr --strict --force")).code
 }

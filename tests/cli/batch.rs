@@ -1,4 +1,4 @@
-//! `hdralign batch`: finding, merging, keeping and reporting.
+//! `hdralign batch`: finding brackets, merging them, keeping results, and reporting.
 
 mod again;
 mod plan;
@@ -9,7 +9,7 @@ use super::support::{Folder, Run};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
-/// A card with `brackets` small brackets in `in`, in two folders.
+/// Writes `brackets` small brackets into two folders in `in`; returns their paths.
 fn card(folder: &Folder, brackets: usize) -> Vec<Vec<PathBuf>> {
     let mut card = Card::new(150);
     for k in 0..brackets {
@@ -19,7 +19,7 @@ fn card(folder: &Folder, brackets: usize) -> Vec<Vec<PathBuf>> {
     card.write(&folder.at("in"))
 }
 
-/// The files in `out` by name, without reports.
+/// Returns the files in `out` with their contents, sorted by name, without reports and summaries.
 fn results(folder: &Folder) -> Vec<(PathBuf, Vec<u8>)> {
     fn gather(folder: &Path, all: &mut Vec<(PathBuf, Vec<u8>)>) {
         for entry in std::fs::read_dir(folder).expect("a folder") {
@@ -60,7 +60,8 @@ fn simulated_card_is_merged() {
     assert_eq!(counts(&folder), [3, 0, 0, 0]);
     assert!(run.stderr.contains("3 done of 3") && run.stderr.contains("[3/3]"), "{}", run.stderr);
 
-    // The same bytes as separate merges, and a report with the contents of that of `merge`.
+    // The results have the same bytes as those of a separate merge, and the report has the contents of the report of
+    // `merge`.
     let inputs: Vec<&str> = paths[1].iter().map(|p| p.to_str().unwrap()).collect();
     folder.run([&["merge", "-o", "one.exr", "-o", "one.png", "--report", "one.json"], &inputs[..]].concat()).done();
     assert!(folder.bytes("one.exr") == folder.bytes("out/a/IMG_0004-IMG_0006.exr"));
@@ -74,7 +75,7 @@ fn simulated_card_is_merged() {
     assert_eq!((rows.len(), rows[1].as_str()), (3, "a_IMG_0004-IMG_0006"));
 }
 
-/// The ids in `batch.csv`.
+/// Returns the ids in `batch.csv`.
 fn csv_rows(folder: &Folder) -> Vec<String> {
     let table = String::from_utf8(folder.bytes("out/batch.csv")).expect("UTF-8");
     table.lines().skip(1).map(|line| line.split(',').next().unwrap_or_default().to_owned()).collect()
@@ -175,7 +176,7 @@ fn unusable_bracket_does_not_stop_the_batch() {
         failed["error"].as_str().unwrap().contains("IMG_0006.JPG") && failed["outputs"].as_array().unwrap().is_empty()
     );
     assert!(folder.at("out/IMG_0004-IMG_0006.failed.json").is_file());
-    // Copied again, it is whole; the others are not touched.
+    // The damaged photograph is copied again and now complete: its bracket is merged, and the others are unchanged.
     card.shots[5].is_truncated = false;
     card.write(&folder.at("in"));
     folder.line("batch in -d out").done();
@@ -197,7 +198,7 @@ fn one_response_is_recovered_for_a_camera() {
     assert!(report["options"]["response_file"].as_str().unwrap().ends_with(response), "{report}");
     folder.line("batch in -d out --shared-response --formats exr").done();
     assert_eq!(counts(&folder), [0, 4, 0, 0]);
-    // The same curve, given as a file, gives the same bytes.
+    // The curve that was recovered, given as a file, gives the same bytes.
     let shared = folder.bytes("out/a/IMG_0001-IMG_0003.exr");
     folder.run(["batch", "in", "-d", "given", "--response", response, "--formats", "exr"]).done();
     assert!(folder.bytes("given/a/IMG_0001-IMG_0003.exr") == shared);
@@ -220,7 +221,7 @@ fn a_panorama_has_one_unit_of_radiance() {
     assert!(first.0.is_some() && first.1 != second.1, "{first:?} {second:?}");
 }
 
-/// What a run that is expected to fail says, without its line breaks.
+/// Checks that a run failed, and returns its stderr without line breaks.
 fn refused(run: Run) -> String {
     assert_ne!(run.code, 0, "{run:?}");
     run.stderr.split_whitespace().collect::<Vec<_>>().join(" ")

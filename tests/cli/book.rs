@@ -1,9 +1,9 @@
-//! The book (`docs/`) and the README: every command runs, every link leads to a file or heading, the pages of options are those of
-//! `--help`.
+//! The book (`docs/`) and the README: every command runs, every link leads to a file or heading, and the pages of
+//! options are the output of `--help`.
 //!
-//! A line of a `sh` block that starts with `hdralign` or `mkdir` is a command. The commands of a page run one after the other in a folder of their own,
-//! which holds the bracket `IMG_1.jpg` to `IMG_5.jpg` and the same files in `card/`. Each must exit with 0, or with N where a comment
-//! says `# exits with N`. Blocks marked `console` are not run.
+//! A line of a `sh` block that starts with `hdralign` or `mkdir` is a command. The commands of a page run one after the
+//! other in a new folder, which contains the bracket `IMG_1.jpg` to `IMG_5.jpg` and the same files in `card/`. Each
+//! must exit with 0, or with N if it has a comment `# exits with N`. Blocks marked `console` are not run.
 
 use crate::shell::COMMANDS;
 use crate::support::{FRAMES, Folder, program, small_jpeg};
@@ -12,12 +12,12 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-/// The root of the project.
+/// Returns the root folder of the project.
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// The Markdown files in `folder` and below it.
+/// Returns the Markdown files in `folder` and the folders below it.
 pub fn pages(folder: &Path) -> BTreeSet<PathBuf> {
     let entries = fs::read_dir(folder).expect("a folder of documents").map(|entry| entry.expect("an entry").path());
     entries.fold(BTreeSet::new(), |mut found, path| {
@@ -109,7 +109,7 @@ fn anchor(heading: &str) -> String {
     kept.map(|c| if c == ' ' { '-' } else { c }).collect()
 }
 
-/// The anchors of a page.
+/// Returns the anchors of the headings of a page.
 fn anchors(text: &str) -> BTreeSet<String> {
     let mut is_fenced = false;
     let headings = text.lines().filter_map(|line| {
@@ -153,7 +153,7 @@ fn every_page_is_listed_in_the_summary() {
     }
 }
 
-/// Compares `actual` with the file, or with `HDRALIGN_BLESS` writes it.
+/// Compares `actual` with the file `path`; with `HDRALIGN_BLESS` writes it to the file instead.
 fn compare(path: &str, actual: &str) {
     let file = root().join(path);
     if std::env::var_os("HDRALIGN_BLESS").is_some() {
@@ -186,7 +186,7 @@ fn page_of_options_equals_the_help() {
     compare("docs/reference/options.md", &page);
 }
 
-/// Lines of a screen for a short help text.
+/// Largest number of lines of a short help text, so that it fits on a screen.
 const SCREEN: usize = 62;
 
 #[test]

@@ -1,5 +1,5 @@
-//! The simulated cards of `tests/support/card.rs` are correct: other readers read them, and the program finds good
-//! brackets.
+//! The simulated cards of `tests/support/card.rs` are correct: another EXIF reader reads them, and the program merges
+//! their brackets.
 
 use super::support::Folder;
 use super::support::card::{Camera, Card};
@@ -38,15 +38,15 @@ fn simulated_card_has_the_metadata_of_a_camera() {
         texts(["auto bracket", "auto bracket", "auto bracket", "auto exposure"])[2..]
     );
     assert_eq!(all(Tag::BodySerialNumber), texts(["0815001", "0815001", "0815001", "7"]));
-    // 32 ms and 8 ms of exposure, 180 ms after each.
+    // The exposures take 32 ms and 8 ms, and a pause of 180 ms follows each.
     assert_eq!(all(Tag::SubSecTimeOriginal)[..3], texts(["00", "21", "40", ""])[..3]);
     assert_eq!(all(Tag::SubSecTimeOriginal)[3], None);
-    // 125 ms, 180 ms, the pause of 8 s, and the 10 s that were requested.
+    // 0.4 s until the third exposure, 125 ms for it, and pauses of 180 ms, 8 s (after a bracket) and 10 s (requested).
     assert_eq!(all(Tag::DateTimeOriginal)[3].as_deref(), Some("2026:09:19 17:42:18"));
 }
 
-/// The thumbnail in the EXIF is not mistaken for the photograph, and the exposures are from the EXIF. With steps of
-/// two stops the recorded times 1/125, 1/30 and 1/8 s are read as exact steps.
+/// The thumbnail in the EXIF is not mistaken for the photograph, and the exposures are read from the EXIF. As the steps
+/// are two stops, the recorded times 1/125, 1/30 and 1/8 s are read as exact steps.
 #[test]
 fn a_cards_brackets_merge_and_no_two_are_alike() {
     let folder = Folder::empty();

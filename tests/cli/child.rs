@@ -8,7 +8,7 @@ use std::process::{Child, Command, Stdio};
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Once};
 
-/// Starts `line` in `folder`.
+/// Starts the program with the arguments `line` in `folder`.
 pub fn begin(folder: &Folder, line: &str) -> Child {
     handle_signals();
     let mut command = Command::new(program());
@@ -16,13 +16,14 @@ pub fn begin(folder: &Folder, line: &str) -> Child {
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("the program starts")
 }
 
-/// Installs handlers for INT and HUP, so that child processes do not ignore these signals. They would inherit that if
-/// the tests run in the background of a script, which ignores INT, or with `nohup`.
+/// Installs handlers for INT and HUP, so that child processes do not ignore these signals. If the tests run in the
+/// background of a script, they ignore INT, and with `nohup` HUP; without handlers the child processes would inherit
+/// this.
 fn handle_signals() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
         for signal in [SIGHUP, SIGINT] {
-            // The tests end as usual.
+            // The handler ends the tests, as the default effect of the signal does.
             let always = Arc::new(AtomicBool::new(true));
             signal_hook::flag::register_conditional_shutdown(signal, 128 + signal, always).expect("a handler");
         }

@@ -1,4 +1,4 @@
-//! Colour spaces of inputs: PNG chunks, profile curves, and primaries that a format does not support. Through the
+//! Colour spaces of inputs: PNG chunks, profile curves, and primaries that a format does not support, tested with the
 //! program and its files.
 
 use crate::support::{Folder, Run, small};
@@ -20,13 +20,13 @@ fn json(run: &Run) -> Value {
 /// Name and content of a PNG chunk.
 type Chunk = (&'static [u8; 4], Vec<u8>);
 
-/// The CRC of PNG, section D.
+/// Returns the CRC of a PNG chunk (PNG specification, annex D).
 fn crc(bytes: &[u8]) -> u32 {
     let step = |crc: u32, _| if crc & 1 == 1 { 0xEDB8_8320 ^ (crc >> 1) } else { crc >> 1 };
     !bytes.iter().fold(u32::MAX, |crc, &b| (0..8).fold(crc ^ u32::from(b), step))
 }
 
-/// `picture` as a PNG with these chunks after its header.
+/// Returns `picture` as a PNG with `chunks` after its header.
 fn png(picture: &RgbImage, chunks: &[Chunk]) -> Vec<u8> {
     let mut bytes = std::io::Cursor::new(Vec::new());
     picture.write_to(&mut bytes, image::ImageFormat::Png).expect("a PNG");
@@ -42,7 +42,7 @@ fn png(picture: &RgbImage, chunks: &[Chunk]) -> Vec<u8> {
     out
 }
 
-/// cHRM: white, red, green, blue.
+/// Returns the content of a cHRM chunk: white, red, green, blue.
 fn chrm(p: &Primaries) -> Vec<u8> {
     let numbers = [p.white, p.red, p.green, p.blue].concat();
     numbers.iter().flat_map(|v| ((v * 1e5).round() as u32).to_be_bytes()).collect()
@@ -96,8 +96,8 @@ fn png_of_linear_codes_equals_itself_in_srgb() {
     folder.put("linear.png", &png(&linear, &[(b"gAMA", gama(1.0))]));
     folder.put("srgb.png", &png(&again, &[]));
     let run = folder.line("compare srgb.png linear.png --tolerance-de 2 --json");
-    // Codes are rounded twice; in dark parts the difference is half of what is visible. Linear codes read as sRGB
-    // would differ by 30.
+    // Code values are rounded twice, and the allowed difference is dE 2. If linear code values were read as sRGB, the
+    // difference would be 30.
     assert!(run.code == 0, "{}", json(&run)["reason"]);
 }
 
@@ -132,13 +132,13 @@ fn fusion_decodes_by_the_curve_of_the_profile() {
     };
     let (expected, found) = (fused("s2.png s3.png s4.png"), fused("w2.tif w3.tif w4.tif"));
     let off: u64 = expected.iter().zip(&found).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
-    // Codes of 16 and 8 bits are equal except for rounding; clipped codes are not, because some are above 1 by
-    // rounding.
+    // Code values of 16 and of 8 bits are equal except for rounding. Values near white differ more, because some are
+    // above 1 by rounding and clip.
     let mean = off as f64 / expected.len() as f64;
     assert!(mean < 1.0, "{mean}");
 }
 
-/// ACES2065-1, whose blue has a negative y.
+/// Tests ACES2065-1, whose blue has a negative y.
 #[test]
 fn primaries_with_a_negative_chromaticity_come_back_from_every_format() {
     let folder = Folder::empty();
@@ -168,7 +168,7 @@ fn primaries_with_a_negative_chromaticity_come_back_from_every_format() {
         let (map, _) = read(&folder.at(name)).expect("radiance");
         assert!(map.primaries.is_close(&Primaries::ACES_AP0, tolerance), "{name}: {:?}", map.primaries);
     }
-    // A mantissa of RGBE is truncated by up to 1/128 of the largest component, here twice the smallest.
+    // A mantissa of RGBE is truncated by up to 1/128 of the largest component, which is a larger share of smaller ones.
     for (name, stops) in [("a.tif", 0.002), ("b.exr", 0.0001), ("a.hdr", 0.1)] {
         let run = folder.line(&format!("compare srgb.exr {name} --tolerance-stops {stops} --json"));
         assert_eq!(run.code, 0, "{name}: {}", json(&run)["reason"]);

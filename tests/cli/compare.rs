@@ -1,4 +1,4 @@
-//! `hdralign compare`: what it must detect, what it must accept, and how it reports.
+//! `hdralign compare`: which differences it must detect, which it must accept, and how it reports them.
 
 use crate::support::{Folder, Run};
 use hdralign::bracket::colour::Primaries;
@@ -11,7 +11,7 @@ use image::{Rgb, RgbImage};
 use serde_json::Value;
 use std::path::Path;
 
-/// A scene with edges and texture over 12 stops, with three different channels.
+/// Returns a scene with edges and texture over 12 stops, with three different channels.
 fn scene() -> Plane<[f32; 3]> {
     Plane::from_rows(160, 120, |y, row| {
         for (x, p) in row.iter_mut().enumerate() {
@@ -22,7 +22,7 @@ fn scene() -> Plane<[f32; 3]> {
     })
 }
 
-/// Writes radiance with our writers and the given command-line `options`.
+/// Writes radiance as the file `name` with our writers and `options`.
 fn put(folder: &Folder, name: &str, pixels: Plane<[f32; 3]>, options: &Options) {
     let map = RadianceMap { pixels, primaries: Primaries::SRGB };
     let display = DisplayImage { pixels: Plane::filled(1, 1, [0; 3]) };
@@ -59,7 +59,7 @@ fn compare(folder: &Folder, line: &str) -> (Run, Value) {
     (run, json)
 }
 
-/// The exit code, and the verdict with it.
+/// Runs `compare` and returns the exit code; checks that the verdict in the JSON agrees with it.
 fn code(folder: &Folder, line: &str) -> i32 {
     let (run, json) = compare(folder, line);
     let expected = ["same", "differs"].get(run.code as usize).map_or(Value::Null, |v| (*v).into());
@@ -84,7 +84,7 @@ fn a_shift_a_gain_and_a_swapped_channel_are_caught_in_radiance() {
     let (run, json) = compare(&folder, "a.exr gain.exr");
     assert_eq!(run.code, 1);
     let mean = json["radiance"]["mean_stops"].as_f64().unwrap();
-    // Values below the floor count as less, by at most 0.1 % of the values.
+    // At most 0.1 % of the values are below the floor, where a difference counts as less.
     assert!((mean - 0.02).abs() < 1e-4, "{mean}");
     assert!(run.stderr.contains("uniformly brighter, by 0.020 stops"), "{}", run.stderr);
     assert_eq!(code(&folder, "a.exr gain.exr --tolerance-stops 0.021"), 0);
@@ -94,7 +94,7 @@ fn a_shift_a_gain_and_a_swapped_channel_are_caught_in_radiance() {
     assert_eq!((run.code, &json["radiance"]["channels"][1]["max_stops"]), (1, &0.0.into()));
     assert!(json["radiance"]["channels"][0]["rms_stops"].as_f64().unwrap() > 0.5);
 
-    // One pixel of one channel, and its position.
+    // A difference in one channel of one pixel, and the position of this pixel.
     put(&folder, "one.exr", changed(|x, y, p| if (x, y) == (93, 41) { [p[0], p[1], 1.5 * p[2]] } else { p }), &float());
     let (run, json) = compare(&folder, "a.exr one.exr");
     let largest = &json["differing"]["largest"];
@@ -122,7 +122,8 @@ fn lossless_encoding_passes_and_coarse_rounding_fails() {
         assert_eq!(json["bytes_equal"], Value::from(other == "a.exr"));
         assert_eq!((&json["pu21_psnr_db"], &json["ms_ssim"]), (&Value::Null, &1.0.into()));
     }
-    // Halves round by at most 0.0007 stops; RGBE by up to 0.0056 in the brightest channel, and by far more in others.
+    // Half floats round by at most 0.0007 stops; RGBE by up to 0.0056 stops in the brightest channel, and by far more
+    // in the others.
     let half = Options {
         exr: write::exr::Options { sample: write::exr::Sample::Half, ..Default::default() },
         ..Options::default()
@@ -133,7 +134,7 @@ fn lossless_encoding_passes_and_coarse_rounding_fails() {
     assert_eq!((run.code, &json["pixels_equal"]), (0, &false.into()));
     assert!(json["radiance"]["channels"][0]["max_stops"].as_f64().unwrap() < 0.0008);
     assert_eq!(code(&folder, "a.exr half.exr --tolerance-stops 0"), 1);
-    // Read and written again, RGBE is the same.
+    // An RGBE file that is read and written again has the same pixels.
     let (map, _) = hdralign::read::read(&folder.at("a.hdr")).unwrap();
     put(&folder, "b.hdr", map.pixels, &Options::default());
     assert_eq!(code(&folder, "a.hdr b.hdr --tolerance-stops 0"), 0);
@@ -147,11 +148,11 @@ fn pictures_are_the_same_by_their_codes_and_not_by_their_files() {
     let folder = Folder::empty();
     let a = picture();
     a.save(folder.at("a.png")).unwrap();
-    // 16 bits, another compression, and another format: the same codes.
+    // Files with 16 bits, another compression, or another format have equivalent code values.
     let wide = image::DynamicImage::ImageRgb8(a.clone());
     wide.to_rgb16().save(folder.at("wide.png")).unwrap();
     a.save(folder.at("a.tif")).unwrap();
-    // What is ignored is reported.
+    // Parts of a file that are not compared are reported.
     wide.to_rgba8().save(folder.at("alpha.png")).unwrap();
     let (run, json) = compare(&folder, "a.png alpha.png");
     assert!(run.code == 0 && json["warnings"][0].as_str().unwrap().contains("alpha is not compared"), "{json}");
@@ -172,12 +173,15 @@ fn pictures_are_the_same_by_their_codes_and_not_by_their_files() {
         let share = json["differing"]["differing_percent"].as_f64().unwrap();
         assert!(run.code == 1 && share > least, "{name}: {share}");
     }
-    // A difference of one code is rarely a dE of 1, and is 48.13 dB.
+    // A difference of one code value is rarely a dE of 1; in all pixels it is a PSNR of 48.13 dB.
     assert_eq!(code(&folder, "a.png brighter.png --tolerance-de 1 --max-differing 5"), 0);
     let (_, json) = compare(&folder, "a.png brighter.png --min-psnr 48");
     let psnr = json["display"]["psnr_db"].as_f64().unwrap();
     assert!(json["verdict"] == "same" && (48.13..48.6).contains(&psnr), "{psnr}");
     assert_eq!(code(&folder, "a.png brighter.png --min-psnr 49"), 1);
+    // Codes of the file with more bits.
+    let (run, _) = compare(&folder, "wide.png brighter.png");
+    assert!(run.stderr.contains("at most 257, 257, 257 of 65535 in red, green, blue"), "{}", run.stderr);
 }
 
 #[test]
@@ -190,7 +194,7 @@ fn sizes_odd_values_and_headers() {
     assert!(json["reason"].as_str().unwrap().contains("159 x 120"), "{json}");
     assert!(folder.at("d.png").is_file());
 
-    // Values that other programs write; ours never do.
+    // Other programs write such values; hdralign does not.
     let odd = |name: &str, value: f32| {
         use exr::prelude::WritableImage;
         let scene = scene();
@@ -205,7 +209,7 @@ fn sizes_odd_values_and_headers() {
     odd("inf.exr", f32::INFINITY);
     assert_eq!(code(&folder, "nan.exr nan-too.exr --tolerance-stops 0"), 0);
     for other in ["nan.exr", "inf.exr"] {
-        // No tolerance is large enough, but a fraction of the pixels may have any value.
+        // Such a difference exceeds every tolerance, but a share of the pixels may exceed it.
         let (run, json) = compare(&folder, &format!("a.exr {other} --tolerance-stops 1000"));
         assert_eq!((run.code, &json["radiance"]["not_comparable_pixels"]), (1, &1.into()));
         let largest = &json["differing"]["largest"];
@@ -214,7 +218,7 @@ fn sizes_odd_values_and_headers() {
         assert_eq!(code(&folder, &format!("a.exr {other} --max-differing 1")), 0);
     }
     assert_eq!(code(&folder, "inf.exr nan.exr"), 1);
-    // Differences of headers are reported and never fail.
+    // Differences between headers are reported, and never change the outcome.
     let (run, json) = compare(&folder, "nan.exr nan-too.exr");
     assert!(run.code == 0 && json["metadata"].as_array().is_some_and(Vec::is_empty));
     let bracket = Folder::with_bracket();
@@ -273,7 +277,7 @@ fn bless_copies_the_file_and_reports_it() {
     let run = folder.line("compare golden.exr new.exr --bless").done();
     assert!(run.stderr.contains("differs: ") && run.stderr.contains("now a copy"), "{run:?}");
     assert_eq!(folder.line("compare golden.exr new.exr").done().stdout, "");
-    // The expected file may be invalid; the actual one must not be.
+    // With --bless, the expected file may be damaged, but the actual file must not be.
     folder.put("golden.exr", b"cut short");
     folder.line("compare golden.exr new.exr --bless -q").done();
     assert_eq!(folder.bytes("golden.exr"), folder.bytes("new.exr"));
@@ -295,7 +299,7 @@ fn values_that_are_not_numbers_are_blessed_with_a_warning() {
     {
         let run = folder.line(&format!("compare golden.exr {name} --bless")).done();
         assert!(run.stderr.contains(said) && run.stderr.contains("NaN"), "{}", run.stderr);
-        // A previously blessed file is treated in the same way.
+        // The warning is also given if the expected file is already equal.
         assert!(folder.line(&format!("compare golden.exr {name} --bless")).done().stderr.contains(said));
     }
 }
@@ -308,14 +312,15 @@ fn the_difference_picture_shows_where() {
     let run = folder.line("compare a.exr b.exr --diff d.png");
     assert_eq!((run.code, run.stdout.as_str()), (1, "d.png\n"));
     let page = image::open(folder.at("d.png")).unwrap().to_rgb8();
-    // The three panels are 160 x 120 pixels, magnified twice, 10 apart, with margins of 20 and 76.
+    // The three panels are 160 x 120 pixels, magnified twice, 10 pixels apart, with margins of 20 pixels left and 76
+    // above.
     let at = |panel: u32, x: u32, y: u32| page.get_pixel(20 + panel * 330 + 2 * x, 76 + 2 * y).0;
-    // 2 stops are the end of the scale, which is white; equal pixels are grey.
+    // The difference of 2 stops is at the end of the scale, which is white; equal pixels are grey.
     assert_eq!(at(1, 20, 100), [255; 3]);
     let [r, g, b] = at(1, 100, 100);
     assert!(r == g && g == b && r < 100);
     assert!(at(2, 20, 100)[0] > at(0, 20, 100)[0] && at(2, 100, 50) == at(0, 100, 50));
-    // The same bytes again, and for any number of pixels.
+    // A second run writes the same bytes.
     let first = folder.bytes("d.png");
     folder.line("compare a.exr b.exr --diff d.png --force -q");
     assert!(folder.bytes("d.png") == first);
@@ -337,14 +342,14 @@ fn json_has_its_schema_and_stderr_the_words() {
     assert_eq!((quiet.code, quiet.stdout.as_str(), quiet.stderr.as_str()), (1, "", ""));
 }
 
-/// `bytes` of an EXR with whiteLuminance, with another value of it.
+/// Returns `bytes`, an EXR with whiteLuminance, with another value of whiteLuminance.
 fn with_white(bytes: &[u8], value: f32) -> Vec<u8> {
     let name = b"whiteLuminance\0float\0\x04\0\0\0";
     let at = bytes.windows(name.len()).position(|w| w == name).expect("whiteLuminance") + name.len();
     [&bytes[..at], &value.to_le_bytes(), &bytes[at + 4..]].concat()
 }
 
-/// Found by a review: such a file became black as `.hdr`, and all black compared as equal.
+/// A file with an invalid unit once became black as `.hdr`, and all black files compared as equal.
 #[test]
 fn invalid_unit_is_ignored_and_black_is_not_equal() {
     let folder = Folder::empty();
@@ -370,14 +375,14 @@ fn invalid_unit_is_ignored_and_black_is_not_equal() {
         assert!(run.code == 1 && json["warnings"].to_string().contains("whiteLuminance"), "{value}: {json}");
         assert_eq!(code(&folder, "odd.exr a.exr --min-psnr 60"), 0);
     }
-    // A valid unit in which all of the scene is below the range of PU21.
+    // With this valid unit, the whole scene is below the range of PU21.
     folder.put("dim.exr", &with_white(&bytes, 1e-12));
     let (run, json) = compare(&folder, "dim.exr black.exr --min-psnr 60");
     let reason = json["reason"].as_str().unwrap_or_default();
     assert!(run.code == 1 && reason.contains("not equal, and PU21-PSNR cannot measure the difference"), "{json}");
 }
 
-/// Alpha, depth and a second view, as renderers write them in addition to the colours.
+/// Renderers write alpha, depth and a second view in addition to the colours.
 #[test]
 fn ignored_parts_of_exr_and_tiff_are_reported() {
     use exr::prelude::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, WritableImage};
@@ -414,7 +419,7 @@ fn ignored_parts_of_exr_and_tiff_are_reported() {
     assert!(warned("pages.tif").contains("its image 2 is not compared"));
 }
 
-/// OpenEXR stores an f-number as a float, 5.599999904632568; TIFF as a fraction, 56/10.
+/// OpenEXR stores the f-number 5.6 as an `f32`, 5.599999904632568; TIFF as the fraction 56/10.
 #[test]
 fn numbers_of_headers_are_compared_as_finely_as_formats_keep_them() {
     let folder = Folder::empty();
@@ -435,7 +440,8 @@ fn numbers_of_headers_are_compared_as_finely_as_formats_keep_them() {
     assert_eq!(json["metadata"], serde_json::json!([{ "key": "f_number", "expected": "5.6", "actual": "6.3" }]));
 }
 
-/// Kinds of files that decoders get wrong: tests/fixtures/README.md describes how each was made from the same pixels.
+/// Kinds of files that some decoders read wrongly; tests/fixtures/README.md describes how each was made from the same
+/// pixels.
 #[test]
 fn files_of_rare_kinds_are_the_picture_that_they_were_made_of() {
     let folder = Folder::empty();

@@ -1,4 +1,4 @@
-//! The documents and the help compared with the program: quoted commands, options and values, and names of files and
+//! Compares the documents and the help with the program: quoted commands, options and values, and names of files and
 //! tests.
 
 use crate::book::pages;
@@ -8,12 +8,12 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// The root of the project.
+/// Returns the root folder of the project.
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// The documents, with their relative paths.
+/// Returns the relative path and the text of each document.
 fn documents() -> Vec<(String, String)> {
     let others = ["README.md", "testdata/window/README.md", "workflow/Snakefile", "workflow/parallel.sh"];
     let paths: BTreeSet<PathBuf> =
@@ -25,13 +25,13 @@ fn documents() -> Vec<(String, String)> {
     paths.into_iter().map(read).collect()
 }
 
-/// The output of `hdralign COMMAND --help` for each command.
+/// Returns the output of `hdralign COMMAND --help` for each command, with a name.
 fn helps(folder: &Folder) -> Vec<(String, String)> {
     let help = |command| (format!("{command} --help"), folder.run([command, "--help"]).done().stdout);
     COMMANDS.into_iter().map(help).collect()
 }
 
-/// The texts between backticks on a line.
+/// Returns the texts between backticks on a line.
 fn spans(line: &str) -> impl Iterator<Item = &str> {
     line.split('`').skip(1).step_by(2)
 }
@@ -43,7 +43,7 @@ fn command(line: &str) -> Option<&str> {
     Some(&line[..end.unwrap_or(line.len())])
 }
 
-/// Lines in code blocks: within fences, or indented.
+/// Returns the lines of `text` in code blocks: between fences, or indented.
 fn set_apart(text: &str) -> Vec<&str> {
     let mut is_fenced = false;
     let mut lines = Vec::new();
@@ -57,7 +57,7 @@ fn set_apart(text: &str) -> Vec<&str> {
     lines
 }
 
-/// Files do not exist, but the parser must accept the command.
+/// The files in the quoted commands do not exist, but the parser must accept the commands.
 #[test]
 fn quoted_command_is_understood() {
     let folder = Folder::empty();
@@ -66,7 +66,7 @@ fn quoted_command_is_understood() {
     for (name, text) in texts {
         for line in set_apart(&text) {
             let Some(command) = command(line) else { continue };
-            // Absolute paths would refer to this machine.
+            // Absolute paths would refer to files of this machine, so they are made relative.
             let run = folder.run(command.split_whitespace().map(|word| word.trim_start_matches('/')));
             assert!(!run.stderr.starts_with("error:"), "{name}: hdralign {command}\n{}", run.stderr);
             count += 1;
@@ -75,7 +75,7 @@ fn quoted_command_is_understood() {
     assert!(count > 60, "only {count} commands were found");
 }
 
-/// Splits the help into its options: the line with the name and the description of each.
+/// Splits the help into parts, one for each option: the line with its name, and its description.
 fn by_option(help: &str) -> Vec<String> {
     let mut parts = vec![String::new()];
     for line in help.lines() {
@@ -88,7 +88,7 @@ fn by_option(help: &str) -> Vec<String> {
     parts.split_off(1)
 }
 
-/// Whether this part of the help describes `option`.
+/// Returns whether this part of the help describes `option`.
 fn is_on(part: &str, option: &str) -> bool {
     part.lines().next().is_some_and(|head| head.split([' ', ',', '[']).any(|word| word == option))
 }
@@ -98,7 +98,7 @@ fn named_option_exists_and_takes_the_values_named() {
     let folder = Folder::empty();
     let parts: Vec<String> = helps(&folder).iter().flat_map(|(_, help)| by_option(help)).collect();
     let (mut count, mut values) = (0, 0);
-    // Pages that name options of other programs, and the page that is the help itself.
+    // Pages that are skipped: they name options of other programs, or are the help itself.
     let others = [
         "docs/contributing/add-a-detector.md",
         "docs/contributing/tests.md",
@@ -128,7 +128,7 @@ fn named_option_exists_and_takes_the_values_named() {
     assert!(count > 120 && values > 30, "only {count} options and {values} values were found");
 }
 
-/// The sources of the tests, with their relative paths.
+/// Adds the path and the text of each test source in `folder` to `found`.
 fn tests_of(folder: &Path, found: &mut Vec<(String, String)>) {
     for path in fs::read_dir(folder).expect("a folder of tests").map(|entry| entry.expect("an entry").path()) {
         if path.is_dir() {
@@ -165,7 +165,7 @@ fn named_test_and_file_exist() {
                 let is_path = ["tests/", "src/", "benches/", "docs/", "testdata/", "workflow/", "examples/"]
                     .iter()
                     .any(|f| path.starts_with(f));
-                // Names of the examples in the pages for contributors.
+                // Files of examples in the pages for contributors do not exist.
                 let is_example = ["surf", "ward97", "pfm", "ppm"].iter().any(|name| path.contains(name));
                 if is_path && !is_example && !path.contains('*') {
                     assert!(root().join(path).exists(), "{}", place(path));

@@ -1,4 +1,4 @@
-//! Deghosting and flare, through the program.
+//! Deghosting and flare, tested with the program.
 
 use crate::support::{Folder, jpeg, small};
 use image::Rgb;
@@ -14,11 +14,11 @@ fn ghost_is_removed_and_shown_in_the_mask() {
     let line = "merge w2.jpg w3.jpg w4.jpg --reference w3.jpg --crop none -o a.exr --ghost-mask m.png --report r.json";
     let run = folder.line(line).done();
     assert_eq!(run.stdout, "a.exr\nm.png\nr.json\n");
-    assert!(run.stderr.contains("movement") && run.stderr.contains("in the middle; ghosts removed"), "{}", run.stderr);
+    assert!(run.stderr.contains("movement") && run.stderr.contains("in the middle; shown as in "), "{}", run.stderr);
     let mask = image::open(folder.at("m.png")).expect("a picture");
     assert_eq!((mask.color(), mask.width(), mask.height()), (image::ColorType::L8, 300, 200));
     let mask = mask.to_luma8();
-    // One of two other frames is rejected: half of 255.
+    // In the square one of the two other frames is not used, so the mask is half of 255.
     assert!(mask.get_pixel(150, 100)[0] >= 127, "{}", mask.get_pixel(150, 100)[0]);
     let mut all: Vec<u8> = mask.pixels().map(|p| p[0]).collect();
     all.sort_unstable();
@@ -26,7 +26,7 @@ fn ghost_is_removed_and_shown_in_the_mask() {
     let report: serde_json::Value = serde_json::from_slice(&folder.bytes("r.json")).expect("JSON");
     let frames = report["ghosts"]["frames"].as_array().expect("a list");
     assert_eq!((frames.len(), frames[1]["path"].as_str()), (2, Some("w4.jpg")));
-    // The square is 2.7 % of the picture.
+    // The painted square is 2.7 % of the picture.
     assert!(frames[1]["ghost_fraction"].as_f64().expect("a number") > 0.02, "{frames:?}");
     assert_eq!(report["ghosts"]["strength"], 0.5);
     let region = &report["ghosts"]["regions"][0];
@@ -65,7 +65,7 @@ fn contradicting_options_are_rejected_before_any_work() {
     }
 }
 
-/// Mean code of the square in `picture`.
+/// Returns the mean code value of the painted square in `picture`.
 fn square(folder: &Folder, picture: &str) -> f64 {
     let picture = image::open(folder.at(picture)).expect("a picture").to_luma8();
     let pixels = (135..165).flat_map(|x| (85..115).map(move |y| (x, y)));
@@ -89,7 +89,7 @@ fn ghosts_are_removed_for_every_operator_unless_off() {
         let clean = line("w4", "");
         folder.put("p4.jpg", &jpeg(&painted, Some(4)));
         let (found, ghostly) = (line("p4", ""), line("p4", "--deghost=off"));
-        // Two of three frames show the static scene as well as all three.
+        // Without the ghost, the square is merged from two of three frames, so it is nearly as without a ghost.
         assert!((found - clean).abs() < 0.25 * (ghostly - clean).abs(), "{operator}: {found} {ghostly} for {clean}");
         assert!((found - clean).abs() < 6.0, "{operator}: {found} for {clean}");
     }

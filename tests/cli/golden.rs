@@ -1,9 +1,9 @@
 //! Golden files: every folder in `tests/golden/` is a case. Its `arguments` contain the reduction factor of the
 //! bracket and the options of the program; every other file is a result that must have exactly the same bytes.
 //!
-//! `HDRALIGN_BLESS=1 cargo test --test cli golden` writes them again: check what has changed before committing it. If
-//! a result differs, expected, difference and actual are written side by side to `target/golden/`. A new case is a
-//! folder with its `arguments` and empty files with the names of the results.
+//! `HDRALIGN_BLESS=1 cargo test --test cli golden` writes the results again: check the changes before committing them.
+//! If a result differs, the expected picture, the difference and the actual picture are written side by side to
+//! `target/golden/`. To add a case, create a folder with its `arguments` and empty files with the names of the results.
 
 use crate::support::{FRAMES, Folder, shrink, window};
 use image::{Rgb, RgbImage};
@@ -16,10 +16,10 @@ const MOST_BYTES: usize = 400_000;
 struct Case {
     name: String,
     folder: PathBuf,
-    /// Pixels of the bracket per pixel of the case, along each side.
+    /// Reduction factor: pixels of the bracket per pixel of the case, along each side.
     side: u32,
     arguments: Vec<String>,
-    /// The files that are compared.
+    /// Names of the files that are compared.
     results: Vec<String>,
 }
 
@@ -53,7 +53,7 @@ fn cases() -> Vec<Case> {
     entries(&root).into_iter().map(case).collect()
 }
 
-/// The results of `case`, in the order of its files.
+/// Runs `case` and returns its results, in the order of its files.
 fn made(case: &Case) -> Vec<Vec<u8>> {
     let folder = Folder::empty();
     let mut line = vec!["merge".to_owned(), "-e=-4,-2,0,2,4".to_owned()];
@@ -69,7 +69,7 @@ fn made(case: &Case) -> Vec<Vec<u8>> {
     case.results.iter().map(|name| folder.bytes(name)).collect()
 }
 
-/// A picture for display, or radiance with its mean at a fifth of white.
+/// Returns a picture for viewing; radiance is scaled so that its mean is a fifth of white.
 fn visible(bytes: &[u8], name: &str) -> Option<RgbImage> {
     if name.ends_with(".png") {
         return Some(image::load_from_memory(bytes).ok()?.to_rgb8());
@@ -84,7 +84,7 @@ fn visible(bytes: &[u8], name: &str) -> Option<RgbImage> {
     }))
 }
 
-/// Expected, difference (16 times, around grey) and actual in one picture.
+/// Returns the expected picture, the difference (16 times, around grey) and the actual picture side by side.
 fn side_by_side(expected: &RgbImage, actual: &RgbImage) -> RgbImage {
     let (w, h) = (expected.width().max(actual.width()), expected.height().max(actual.height()));
     let at = |p: &RgbImage, x, y| p.get_pixel_checked(x, y).copied().unwrap_or(Rgb([255, 0, 255]));
@@ -100,7 +100,8 @@ fn side_by_side(expected: &RgbImage, actual: &RgbImage) -> RgbImage {
     })
 }
 
-/// Writes a picture of the differences. Returns a message with its path.
+/// Writes the actual file and a picture of the differences to `target/golden/`. Returns a message with the path of the
+/// picture.
 fn show(case: &Case, name: &str, expected: &[u8], actual: &[u8]) -> String {
     let folder = package().join("target/golden");
     fs::create_dir_all(&folder).expect("target/golden");

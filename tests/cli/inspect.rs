@@ -1,4 +1,4 @@
-//! `inspect`: a folder of tables and drawings, complete or not created.
+//! `inspect`: the folder of tables and drawings is complete, or is not created.
 
 use crate::support::{Folder, small_jpeg};
 use serde_json::Value;
@@ -18,7 +18,7 @@ const KINDS: [&str; 10] = [
     "edges.png",
 ];
 
-/// Names in `folder/name`, including hidden ones.
+/// Returns the names of the files in the folder `name`, including hidden ones.
 fn names(folder: &Folder, name: &str) -> BTreeSet<String> {
     let entries = fs::read_dir(folder.at(name)).unwrap_or_else(|e| panic!("{name}: {e}"));
     entries.map(|e| e.expect("an entry").file_name().to_string_lossy().into_owned()).collect()
@@ -42,7 +42,7 @@ fn listed_files_are_complete_and_no_others_exist() {
             assert_eq!((picture.width(), picture.height()), (300, 200), "{name}");
             assert!(picture.to_luma8().pixels().all(|p| p[0] == 0 || p[0] == 255), "{name}");
         } else {
-            // In the size stated by the SVG.
+            // The PNG has the size that the SVG states.
             let svg = String::from_utf8(folder.bytes(&format!("look/{}", name.replace(".png", ".svg")))).expect("text");
             let size = format!("width=\"{}\" height=\"{}\"", picture.width(), picture.height());
             assert!(svg.contains(&size) && svg.ends_with("</svg>\n"), "{name}");

@@ -1,9 +1,9 @@
-//! Runs are killed at random moments by SIGKILL: every file with its final name is complete, and all others are
+//! Runs are killed at random moments by SIGKILL: every file with its final name is complete, and all other files are
 //! temporary files, which the next run removes.
 //!
-//! `HDRALIGN_KILLS` is the number of kills, 12 by default; `HDRALIGN_SEED` their seed; `HDRALIGN_BIN` the program. A
-//! third of the kills are during a `merge` of new files, a third during a `merge --force` over older ones, and a
-//! third during a `batch` that is continued after each kill.
+//! `HDRALIGN_KILLS` sets the number of kills (12 by default), `HDRALIGN_SEED` the seed of their moments, and
+//! `HDRALIGN_BIN` the program. A third of the kills are during a `merge` to new files, a third during a `merge --force`
+//! that replaces older files, and a third during a `batch` that is continued after each kill.
 
 #![cfg(unix)]
 
@@ -21,7 +21,7 @@ const MERGE: &str =
 const OLDER: &str = "--response-model srgb --tmo drago";
 const BATCH: &str = "batch in -d out -q --formats exr,png";
 
-/// Steele, Lea & Flood 2014: SplitMix64.
+/// A generator of random numbers: SplitMix64 (Steele, Lea & Flood 2014).
 struct Random(u64);
 
 impl Random {
@@ -39,7 +39,7 @@ fn number(variable: &str) -> Option<u64> {
     std::env::var(variable).ok().and_then(|text| text.parse().ok())
 }
 
-/// All files in `folder`, with their contents.
+/// Returns all files in `folder` and below it, with their contents.
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut all = BTreeMap::new();
     let mut folders = vec![folder.to_owned()];
@@ -61,7 +61,8 @@ fn is_unnamed(path: &Path) -> bool {
     name.starts_with(".hdralign-") && (name.ends_with(".part") || name.ends_with(".lock"))
 }
 
-/// Whether the process has started a file in `folder`: one with a temporary name, or on Linux one without a name.
+/// Returns whether the process has created a temporary file in `folder`: one with a temporary name, or on Linux one
+/// without a name.
 fn is_writing(process: u32, folder: &Path) -> bool {
     let names = fs::read_dir(folder).into_iter().flatten().flatten();
     let open = fs::read_dir(format!("/proc/{process}/fd")).into_iter().flatten().flatten();
@@ -79,15 +80,15 @@ fn run(folder: &Folder, line: &str) -> Duration {
 
 /// The moment of a kill.
 enum When {
-    /// This long after the start.
+    /// The time after the start of the run.
     After(Duration),
-    /// This long after the first temporary file appears in this folder: while it writes or renames files.
+    /// The time after the first temporary file appears in the folder: while the run writes or renames files.
     Writing(PathBuf, Duration),
 }
 
 impl When {
-    /// Returns a moment of a run that takes `whole` and writes to `folder`: any moment or, every second time, one in
-    /// the fifth of it after the first file.
+    /// Returns a random moment of a run that takes the time `whole` and writes to `folder`. In half of the cases it is
+    /// any moment, in the others a moment after the first temporary file, within a fifth of `whole`.
     fn of(random: &mut Random, whole: Duration, folder: &Path) -> When {
         let (is_any, part) = (random.next() < 0.5, random.next());
         if is_any {
@@ -98,7 +99,8 @@ impl When {
     }
 }
 
-/// Starts `line` with the command `before`, and kills it. Returns whether it was still running.
+/// Starts the program with the arguments `line`, by way of the command `before`, and kills it. Returns whether it was
+/// still running.
 fn kill(folder: &Folder, line: &str, before: &[String], when: When) -> bool {
     let program = program().to_string_lossy().into_owned();
     let words: Vec<&str> = before.iter().chain([&program]).map(String::as_str).chain(line.split_whitespace()).collect();
@@ -118,21 +120,21 @@ fn kill(folder: &Folder, line: &str, before: &[String], when: When) -> bool {
     !child.wait().expect("its end").success()
 }
 
-/// Counts for the report.
+/// Counts of kills and of files that were checked, for messages.
 #[derive(Debug, Default)]
 struct Tally {
     kills: usize,
-    /// Kills before the end of the run.
+    /// Number of kills before the end of the run.
     in_time: usize,
-    /// Files with their final names that were checked.
+    /// Number of files with their final names that were checked.
     named: usize,
-    /// Temporary files that were left, and removed by the next run.
+    /// Number of temporary files that killed runs left, and the next runs removed.
     unnamed: usize,
 }
 
 impl Tally {
-    /// Checks that every file in `folder` with its final name is equal to one in `whole` or, for reports, is valid
-    /// JSON or a table; all others must be temporary files.
+    /// Checks that every file in `folder` with its final name is equal to the same file in one of `whole` or, if it is
+    /// a report or summary, is complete JSON or CSV. All other files must be temporary files.
     fn check(&mut self, folder: &Path, whole: &[&BTreeMap<PathBuf, Vec<u8>>]) {
         for (path, bytes) in files(folder) {
             if is_unnamed(&path) {
@@ -140,7 +142,7 @@ impl Tally {
                 continue;
             }
             self.named += 1;
-            // Reports and summaries contain times.
+            // Reports and summaries contain times, so their bytes differ.
             let is_whole = match path.extension().and_then(|e| e.to_str()) {
                 Some("json") => serde_json::from_slice::<serde_json::Value>(&bytes).is_ok(),
                 Some("csv") if path.ends_with("batch.csv") => bytes.ends_with(b"\n"),
@@ -151,7 +153,7 @@ impl Tally {
     }
 }
 
-/// Whether there are no temporary files in `folder`, and all results are those of `whole`.
+/// Returns whether `folder` contains exactly the results in `whole`, and no temporary files; reports are not compared.
 fn is_complete(folder: &Path, whole: &BTreeMap<PathBuf, Vec<u8>>) -> bool {
     let is_result = |path: &Path| path.extension().is_some_and(|e| e != "json" && !path.ends_with("batch.csv"));
     let there: BTreeMap<_, _> = files(folder).into_iter().filter(|(path, _)| is_result(path)).collect();
@@ -182,14 +184,14 @@ fn killed_runs_leave_complete_files_and_temporary_ones_that_are_removed() {
     let mut random = Random(number("HDRALIGN_SEED").unwrap_or(1));
     let mut tally = Tally::default();
     let wanted = number("HDRALIGN_KILLS").unwrap_or(12) as usize;
-    // A kill that came too late, because the machine is less busy than before, is repeated.
+    // A kill that comes after the end of the run, because the machine is less busy than before, is repeated.
     for i in 0.. {
         if tally.in_time >= wanted {
             break;
         }
         assert!(tally.kills < 4 * wanted, "too few came in time: {tally:?}");
         tally.kills += 1;
-        // Every second time as on a system without anonymous files.
+        // Every second run is as on a system without anonymous files.
         let before = if i % 2 == 1 { &without[..] } else { &[] };
         let mut when = |whole: Duration, folder: &Path| When::of(&mut random, whole, folder);
         match i % 3 {
@@ -215,7 +217,7 @@ fn killed_runs_leave_complete_files_and_temporary_ones_that_are_removed() {
                 }
                 tally.in_time += usize::from(kill(&folder, BATCH, before, when(batching, &out)));
                 tally.check(&out, &[&night]);
-                // Every second time it is killed while it continues previous work.
+                // Every second batch is killed again while it continues after the first kill.
                 if i % 2 == 1 {
                     tally.in_time += usize::from(kill(&folder, BATCH, before, when(batching, &out)));
                     tally.kills += 1;
@@ -229,20 +231,20 @@ fn killed_runs_leave_complete_files_and_temporary_ones_that_are_removed() {
     println!("{tally:?}");
 }
 
-/// A run that is killed while it writes, as its temporary files show; on a system without anonymous files.
+/// A run is killed while it writes, which its temporary files show; it runs as on a system without anonymous files.
 #[test]
 #[ignore = "filters system calls; .ci/run runs it where the system allows that"]
 fn files_of_a_killed_process_are_removed_and_of_a_running_one_kept() {
     let [python, script, lacks] = without("anonymous").expect("a filter of system calls");
     let folder = Folder::with_bracket();
-    // Files of the user with names of temporary files.
+    // Files of the user that have names like those of temporary files.
     folder.put(".hdralign-notes.part", b"mine");
     folder.put(".hdralign-aaaaaaaaaaaa-0.part", b"mine");
     let unnamed = || files(folder.path()).keys().filter(|path| is_unnamed(path)).count();
     let users = unnamed();
     let inputs = folder.listing();
     let mut was_killed = false;
-    // If the run ended before it was observed, it is repeated.
+    // If the run ends before its temporary files are seen, it is repeated.
     for _ in 0..10 {
         let mut run = Command::new(&python)
             .args([script.as_str(), lacks.as_str()])
@@ -254,7 +256,7 @@ fn files_of_a_killed_process_are_removed_and_of_a_running_one_kept() {
             .spawn()
             .expect("the program starts");
         while unnamed() == users && run.try_wait().expect("its state").is_none() {}
-        // Between the creation and the lock of a file, on a busy machine.
+        // On a busy machine, some time may pass between the creation and the lock of a file.
         std::thread::sleep(Duration::from_millis(10));
         assert_eq!(write::sweep(folder.path()), 0, "it lives");
         run.kill().expect("an end");

@@ -1,9 +1,9 @@
-//! Limits: files that claim more than they contain, than is allowed, or than there is memory for are rejected by
-//! their headers, with little memory and time.
+//! Limits: files are rejected by their headers, with little memory and time, if they claim more than they contain, more
+//! than is allowed, or more than fits into memory.
 //!
-//! Every such file is built here. Each run has [`ADDRESSES`] of address space (`ulimit -v`), most of which is used by
-//! the program's code, threads and stacks: an attempt to allocate the claimed size fails, and would end the process
-//! by a signal.
+//! The tests build these files. Each run has an address space of [`ADDRESSES`] (`ulimit -v`), most of which the
+//! program's code, threads and stacks use: an attempt to allocate the claimed size would fail and end the process by a
+//! signal.
 
 use crate::support::card::Card;
 use crate::support::{Folder, Run, jpeg, small, small_jpeg};
@@ -21,10 +21,10 @@ use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
-/// Address space in kB: less than a gigabyte, while every file claims more.
+/// Address space in kB: less than a gigabyte, which every file claims at least.
 const ADDRESSES: u32 = 900_000;
 
-/// CPU time limit in seconds, where milliseconds are enough. The system ends a run that needs more; other work on the
+/// Limit of the CPU time in seconds; milliseconds are enough. The system ends a run that needs more; other work on the
 /// machine does not count.
 const SECONDS: u32 = 10;
 
@@ -45,11 +45,11 @@ fn within(folder: &Folder, kilobytes: u32, line: &str) -> Run {
     }
 }
 
-/// Checks that `line` is refused in little time and memory, with `said` in the message, and leaves nothing behind.
+/// Checks that `line` is refused in little time and memory, with all of `said` in the message, and leaves no files.
 #[cfg(unix)]
 fn refused(folder: &Folder, line: &str, said: &[&str]) {
     let before = folder.listing();
-    // Each thread has a stack; `compare` has no such option.
+    // Each thread needs address space for its stack, so there are only two; `compare` has no --threads.
     let threads = if line.starts_with("compare") { "" } else { "--threads 2" };
     let run = within(folder, ADDRESSES, &format!("{line} {threads}"));
     assert!(matches!(run.code, 1 | 2), "{line}\n{run:?}");
@@ -59,7 +59,7 @@ fn refused(folder: &Folder, line: &str, said: &[&str]) {
     }
 }
 
-/// `count` zeros, compressed by deflate to a thousandth.
+/// Returns `count` zeros, compressed by deflate to about a thousandth.
 fn zeros(count: usize) -> Vec<u8> {
     let mut packer = ZlibEncoder::new(Vec::new(), Compression::new(1));
     let some = vec![0; 1 << 20];
@@ -77,7 +77,7 @@ fn chunk(kind: &[u8; 4], content: &[u8]) -> Vec<u8> {
     [&(content.len() as u32).to_be_bytes()[..], kind, content, &crc.sum().to_be_bytes()].concat()
 }
 
-/// A grey 8-bit PNG with this size in its header, with `data` for its pixels and `others` before them.
+/// Returns a grey 8-bit PNG with this size in its header, with `data` as its pixel data and the chunks `others` before.
 fn png(width: u32, height: u32, others: &[Vec<u8>], data: &[u8]) -> Vec<u8> {
     let size = [width.to_be_bytes(), height.to_be_bytes()].concat();
     let head = chunk(b"IHDR", &[&size[..], &[8, 0, 0, 0, 0]].concat());
@@ -85,7 +85,7 @@ fn png(width: u32, height: u32, others: &[Vec<u8>], data: &[u8]) -> Vec<u8> {
     [signature, head, others.concat(), chunk(b"IDAT", data), chunk(b"IEND", &[])].concat()
 }
 
-/// A TIFF with one strip, `data`, and `tags` with one number each.
+/// Returns a TIFF with one strip, `data`, and with `tags`, each of which has one number.
 fn tiff(tags: &[(u16, u32)], data: &[u8]) -> Vec<u8> {
     let mut all = tags.to_vec();
     let count = all.len() as u32 + 2;
@@ -103,7 +103,8 @@ fn tiff(tags: &[(u16, u32)], data: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// The same, with one sample of `bits` that is a float (`format` 3) or not, compressed by deflate or not.
+/// Returns a grey TIFF with samples of `bits` bits, which are floats if `format` is 3; `is_packed` if `data` are
+/// compressed by deflate.
 fn grey_tiff(size: (u32, u32), bits: u32, format: u32, is_packed: bool, data: &[u8]) -> Vec<u8> {
     let packing = if is_packed { 8 } else { 1 };
     let tags =
@@ -111,7 +112,7 @@ fn grey_tiff(size: (u32, u32), bits: u32, format: u32, is_packed: bool, data: &[
     tiff(&tags, data)
 }
 
-/// The small second frame, with another size in its header (SOF0: marker, length, depth, height, width).
+/// Returns the small frame 2 as a JPEG with another size in its header (SOF0: marker, length, depth, height, width).
 fn jpeg_of(width: u16, height: u16) -> Vec<u8> {
     let mut bytes = small_jpeg(2).to_vec();
     let at = bytes.windows(2).position(|w| w == [0xFF, 0xC0]).expect("a baseline JPEG");
@@ -144,7 +145,7 @@ fn photographs_with_impossible_sizes_are_rejected_by_their_headers() {
     }
 }
 
-/// One of each reader of the commands, with the same file.
+/// Every command that reads photographs, with the same file.
 #[cfg(unix)]
 #[test]
 fn every_command_rejects_impossible_sizes() {
@@ -164,7 +165,7 @@ fn every_command_rejects_impossible_sizes() {
     assert!(run.code == 0 && run.stdout.contains("./a.png") && run.stdout.contains("60000x60000"), "{run:?}");
 }
 
-/// Compressed data in addition to the picture: a profile, a text.
+/// Files contain compressed data in addition to the picture: a profile and a text.
 #[cfg(unix)]
 #[test]
 fn compressed_metadata_are_limited() {
@@ -177,7 +178,7 @@ fn compressed_metadata_are_limited() {
         encoder.write_image(&picture, picture.width(), picture.height(), ExtendedColorType::Rgb8).expect("a PNG");
         let profile = chunk(b"iCCP", &[b"profile\0\0", &bomb[..]].concat());
         let text = chunk(b"zTXt", &[b"Comment\0\0", &bomb[..]].concat());
-        // After IHDR, which has 13 bytes.
+        // The position after the IHDR chunk, whose content has 13 bytes.
         let at = 8 + 12 + 13;
         let file = [&bytes[..at], &profile, &text, &bytes[at..]].concat();
         folder.put(&format!("p{i}.png"), &file);
@@ -186,7 +187,7 @@ fn compressed_metadata_are_limited() {
     assert!(run.stderr.contains("p2.png: its colour profile is damaged"), "{}", run.stderr);
 }
 
-/// The `.exr` of a small picture.
+/// Returns the bytes of a small OpenEXR file.
 fn exr(folder: &Folder) -> Vec<u8> {
     let channels = SpecificChannels::rgb(|at: Vec2<usize>| (at.x() as f32, 0.5f32, at.y() as f32));
     Image::from_channels((40, 30), channels).write().to_file(folder.at("small.exr")).expect("an EXR");
@@ -195,7 +196,8 @@ fn exr(folder: &Folder) -> Vec<u8> {
     bytes
 }
 
-/// The same, with another data window: its last column and row.
+/// Returns the bytes of a small OpenEXR file whose data window is changed to end at the column `right` and the row
+/// `bottom`.
 fn exr_of(folder: &Folder, right: i32, bottom: i32) -> Vec<u8> {
     let mut bytes = exr(folder);
     for name in [&b"dataWindow\0box2i\0"[..], b"displayWindow\0box2i\0"] {
@@ -211,7 +213,7 @@ fn exr_of(folder: &Folder, right: i32, bottom: i32) -> Vec<u8> {
 fn radiance_maps_with_impossible_sizes_are_rejected_by_their_headers() {
     let folder = Folder::empty();
     let hdr = |size: &str, data: &[u8]| [format!("#?RADIANCE\n\n{size}\n").as_bytes(), data].concat();
-    // A pixel, then 255, 255 << 8 and 255 << 16 repetitions of it: 16 million pixels in 16 bytes.
+    // A pixel, and 255, 255 << 8 and 255 << 16 repetitions of this pixel: 16.7 million pixels in 16 bytes.
     let row = [[9, 9, 9, 130], [1, 1, 1, 255], [1, 1, 1, 255], [1, 1, 1, 255]].concat();
     let bombs: [(&str, Vec<u8>, &[&str]); 11] = [
         ("a.exr", exr_of(&folder, i32::MAX - 1, i32::MAX - 1), &["a.exr"]),
@@ -246,7 +248,7 @@ fn radiance_maps_with_impossible_sizes_are_rejected_by_their_headers() {
 #[test]
 fn limits_are_set_by_the_user() {
     let folder = Folder::with_bracket();
-    // 300 x 200.
+    // The frames have 300 x 200 = 60 000 pixels.
     let merge = "merge w2.jpg w3.jpg --align none -q -o";
     let run = folder.line(&format!("{merge} a.exr --max-pixels 59999"));
     assert!(run.code == 1 && run.stderr.contains("the 59999 allowed"), "{run:?}");
@@ -263,8 +265,8 @@ fn limits_are_set_by_the_user() {
     }
 }
 
-/// A bracket as written by a camera, and the pixels of a frame, because a batch would recognise the small frames of
-/// other tests as results.
+/// Returns a bracket as written by a camera, its paths, and the number of pixels of a frame. (A batch would take the
+/// small frames of other tests for results of hdralign.)
 fn card() -> (Folder, Vec<PathBuf>, u64) {
     let folder = Folder::empty();
     let paths = Card::new(96).bracket(&[-2.0, 0.0, 2.0]).write(folder.path()).remove(0);
@@ -272,7 +274,7 @@ fn card() -> (Folder, Vec<PathBuf>, u64) {
     (folder, paths, u64::from(width) * u64::from(height))
 }
 
-/// A plan contains the size that its photographs had, and therefore allows reading them.
+/// A plan contains the size of its photographs, so a job may read photographs of this size without `--max-pixels`.
 #[test]
 fn batch_respects_max_pixels_and_job_reads_its_planned_size() {
     let (folder, _, pixels) = card();
@@ -287,7 +289,7 @@ fn batch_respects_max_pixels_and_job_reads_its_planned_size() {
     folder.line(&format!("batch --run plan.jsonl --id {id}")).done();
 }
 
-/// A single photograph exceeds the limit for all: 20 MP with 16 bits.
+/// A single photograph, of 20 MP with 16 bits, needs more than the memory limit.
 #[test]
 fn photograph_over_the_memory_limit_is_named_with_its_size() {
     let folder = Folder::empty();
@@ -352,7 +354,7 @@ fn devices_and_folders_are_rejected() {
     }
 }
 
-/// A pipe is read to its end; pipes in a folder are not read.
+/// A pipe that is named on the command line is read to its end; a pipe in a searched folder is not read.
 #[cfg(unix)]
 #[test]
 fn pipe_is_read_if_named_and_ignored_in_a_folder() {
@@ -380,8 +382,8 @@ fn a_thousand_photographs_are_too_many_for_a_bracket() {
     );
 }
 
-/// A JPEG with padding bytes between segments is searched once: moving the rest for each of them would be 10^13
-/// bytes.
+/// A JPEG with padding bytes between segments is searched only once: moving the rest of the file for each of them would
+/// copy 10^13 bytes.
 #[cfg(unix)]
 #[test]
 fn padded_jpeg_is_read_in_little_time() {
@@ -394,13 +396,13 @@ fn padded_jpeg_is_read_in_little_time() {
     assert!(folder.bytes("padded.png") == folder.bytes("plain.png"));
 }
 
-/// With less and less memory, there is a result or none. The point of failure is different on each machine: before
-/// the program is loaded, in the runtime of C or of Rust, or in our allocations.
+/// With less and less memory, a run leaves the complete result or no file. The point of failure is different on each
+/// machine: before the program is loaded, in the runtime of C or of Rust, or in our allocations.
 #[cfg(target_os = "linux")]
 #[test]
 fn refused_memory_leaves_the_result_or_no_file() {
     let folder = Folder::empty();
-    // 900 x 600: large enough for the frames to matter in comparison with the program.
+    // 900 x 600 pixels: large enough for the memory of the frames to be noticeable beside that of the program.
     for i in 2..=4 {
         let large = image::imageops::resize(&small(i), 900, 600, image::imageops::FilterType::Triangle);
         folder.put(&format!("w{i}.jpg"), &jpeg(&large, Some(i)));
@@ -409,7 +411,7 @@ fn refused_memory_leaves_the_result_or_no_file() {
     let line = "merge w2.jpg w3.jpg w4.jpg --align none --threads 1 -q -o a.png";
     folder.line(line).done();
     let whole = folder.bytes("a.png");
-    // The first is enough for the run, and the last not even for the program.
+    // The first limit is enough for the run, and the last not even for the program itself.
     for megabytes in [2000, 90, 60, 45, 1] {
         let _ = fs::remove_file(folder.at("a.png"));
         let script = format!("ulimit -v {} && exec \"$0\" {line}", megabytes * 1000);
@@ -427,7 +429,7 @@ fn refused_memory_leaves_the_result_or_no_file() {
     assert_eq!(folder.listing(), before);
 }
 
-/// A job reads its photographs twice, for their hashes and for their pixels; here one is replaced between the two.
+/// A job reads its photographs twice, for their hashes and for their pixels; here a photograph changes between these.
 #[test]
 fn a_photograph_that_changes_while_a_job_is_done_is_an_error_and_leaves_no_result() {
     let (folder, photographs, _) = card();
@@ -446,7 +448,7 @@ fn a_photograph_that_changes_while_a_job_is_done_is_an_error_and_leaves_no_resul
     let error = job::run(&jobs[0], &options, false, &change).expect_err("it was changed").to_string();
     assert!(error.contains(": was changed while it was read"), "{error}");
     assert!(!jobs[0].outputs[0].exists() && !jobs[0].report.exists());
-    // Now that it no longer changes, it is merged: JPEGs may be followed by any data.
+    // Without a further change the bracket is merged: a JPEG may be followed by any data.
     job::run(&jobs[0], &options, false, &pipeline::unwatched).expect("merged");
     assert!(jobs[0].outputs[0].exists());
 }

@@ -7,7 +7,8 @@ use std::fs;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-/// Largest resident memory of a run of `line` in `folder`, in bytes: the kernel's count, read as often as possible.
+/// Returns the largest resident memory of a run of `line` in `folder`, in bytes: the kernel's peak (VmHWM), which is
+/// read every 2 ms.
 fn peak(folder: &Folder, line: &str) -> u64 {
     let mut command = Command::new(crate::support::program());
     command.args(line.split_whitespace()).current_dir(folder.path()).stdin(Stdio::null()).stdout(Stdio::null());
@@ -15,7 +16,8 @@ fn peak(folder: &Folder, line: &str) -> u64 {
     let status = format!("/proc/{}/status", child.id());
     let mut most = 0;
     let code = loop {
-        // It never falls, so only an increase in the last milliseconds is missed, when nothing is left to be encoded.
+        // The peak never falls, so only an increase in the last milliseconds is missed, when all files are encoded
+        // already.
         let text = fs::read_to_string(&status).unwrap_or_default();
         let line = text.lines().find_map(|line| line.strip_prefix("VmHWM:"));
         let kilobytes = line.and_then(|line| line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok());
@@ -29,7 +31,7 @@ fn peak(folder: &Folder, line: &str) -> u64 {
     most
 }
 
-/// Three frames of 6 MP: 54 MB of codes and 72 MB of radiance, in addition to the program and its threads.
+/// Three frames of 6 MP have 54 MB of code values and 72 MB of radiance, in addition to the program and its threads.
 #[cfg(target_os = "linux")]
 #[test]
 fn memory_allowed_is_kept_on_any_number_of_threads_with_the_same_bytes() {
@@ -48,7 +50,8 @@ fn memory_allowed_is_kept_on_any_number_of_threads_with_the_same_bytes() {
     }
 }
 
-/// The smallest limit that `line` reports, in MB, if it is given less.
+/// Runs `line` with a memory limit that is too low, and returns the smallest sufficient limit that the error reports,
+/// in MB.
 #[cfg(target_os = "linux")]
 fn least(folder: &Folder, line: &str) -> u64 {
     let before = folder.listing();
@@ -61,7 +64,8 @@ fn least(folder: &Folder, line: &str) -> u64 {
     needed
 }
 
-/// Less than the minimum is an error before any work; with the minimum everything works, also on many threads.
+/// A memory limit below the minimum is an error before any work; with the minimum every command works, also on many
+/// threads.
 #[cfg(target_os = "linux")]
 #[test]
 fn suggested_memory_limit_is_sufficient() {
@@ -89,7 +93,7 @@ fn suggested_memory_limit_is_sufficient() {
     }
 }
 
-/// Files that are read completely are rejected if they do not fit: by `tonemap` and `compare`.
+/// `tonemap` and `compare`, which read files completely, reject files that do not fit into the limit.
 #[cfg(target_os = "linux")]
 #[test]
 fn memory_limit_applies_to_files_read_completely() {
@@ -111,7 +115,7 @@ fn memory_limit_applies_to_files_read_completely() {
         assert!(run.code == code && run.stderr.contains("raise it with --max-memory"), "{command}: {run:?}");
         let needed = run.stderr.split_once("need ").and_then(|(_, rest)| rest.split_once(" MB while"));
         let needed: u64 = needed.and_then(|(megabytes, _)| megabytes.parse().ok()).expect("what it needs");
-        // If the file can be decoded, there may still not be enough memory for the rest.
+        // With enough memory to decode the file, there may still not be enough for the rest of the work.
         let run = folder.line(&format!("{command} --max-memory {}MB", needed + 10));
         assert!(run.code == code, "{command}: {run:?}");
         let allowed = 350;
@@ -120,7 +124,7 @@ fn memory_limit_applies_to_files_read_completely() {
     }
 }
 
-/// A batch divides its memory among brackets: all together stay within the limit.
+/// A batch divides its memory among brackets, which together stay within the limit.
 #[cfg(target_os = "linux")]
 #[test]
 fn memory_of_a_batch_is_kept_by_all_its_brackets_together() {

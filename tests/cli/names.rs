@@ -37,7 +37,7 @@ fn aligned_frames_have_one_size_and_open_elsewhere() {
     let reference = small_jpeg(3);
     let whole = image::load_from_memory(reference).expect("a JPEG").to_rgb8();
     let cut = |x, y| image::imageops::crop_imm(&whole, x, y, w, h).to_image();
-    // Two decoders may differ by a code or two.
+    // Two JPEG decoders may differ by one or two code values.
     let near = |p: &image::RgbImage| p.as_raw().iter().zip(pictures[1].as_raw()).all(|(a, b)| a.abs_diff(*b) <= 3);
     assert!((0..=300 - w).any(|x| (0..=200 - h).any(|y| near(&cut(x, y)))), "the reference was changed");
     // Other programs need the exposure of each frame.
@@ -97,7 +97,7 @@ fn a_saved_response_gives_the_same_radiance() {
     folder.line(&format!("{line} -o a.exr --save-response r.json")).done();
     folder.line(&format!("{line} -o b.exr --response r.json")).done();
     assert!(folder.bytes("a.exr") == folder.bytes("b.exr"), "the .exr differ");
-    // And not because the response has no influence.
+    // The bytes are not equal because the response has no influence: another one gives other bytes.
     folder.line(&format!("{line} -o c.exr --response-model linear")).done();
     assert!(folder.bytes("a.exr") != folder.bytes("c.exr"));
 }

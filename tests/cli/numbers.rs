@@ -1,4 +1,4 @@
-//! Extreme numbers: options at the ends of the range give finite results or an error, and values that a format does
+//! Extreme numbers: options at the ends of their ranges give finite results or an error, and values that a format does
 //! not support are reported.
 
 use crate::support::{Folder, jpeg, small};
@@ -7,7 +7,7 @@ use serde_json::Value;
 
 const MERGE: &str = "merge w2.jpg w3.jpg w4.jpg --align none --force";
 
-/// Smallest and largest value in the radiance map `name`; all are finite.
+/// Returns the smallest and the largest value in the radiance map `name`; checks that all are finite.
 fn range(folder: &Folder, name: &str) -> (f32, f32) {
     let (map, _) = read(&folder.at(name)).expect("a radiance map");
     let values = map.pixels.as_slice().as_flattened();
@@ -15,7 +15,8 @@ fn range(folder: &Folder, name: &str) -> (f32, f32) {
     values.iter().fold((f32::MAX, 0.0), |(least, most), v| (v.min(least), v.max(most)))
 }
 
-/// Every writer, with the smallest and largest factors: limited values are counted and reported, and all are finite.
+/// Every writer is tested with the smallest and the largest factor: values that are limited are counted and reported,
+/// and all values that are written are finite.
 #[test]
 fn values_out_of_range_are_limited_and_reported() {
     let folder = Folder::with_bracket();
@@ -29,13 +30,13 @@ fn values_out_of_range_are_limited_and_reported() {
             assert!(run.stderr.contains("h.exr: ") && run.stderr.contains("above 65504"), "{}", run.stderr);
             assert_eq!(most, at_half);
         }
-        // LogLuv has a scale in addition to its pixels.
+        // LogLuv files have a scale in addition to the pixels, so the values must be finite after scaling.
         range(&folder, "l24.tif");
         range(&folder, "a.hdr");
         let report: Value = serde_json::from_slice(&folder.bytes("r.json")).expect("JSON");
         let numbers = ["min", "max"].map(|key| report["radiance"]["radiance"][key].as_f64().expect("a number"));
         assert!(numbers[0] > 0.0 && numbers[1] >= numbers[0], "{numbers:?}");
-        // 126 stops contain both.
+        // The 126 stops of LogLuv32 contain both extremes.
         folder.line(&format!("{MERGE} -o l32.tif --tiff-encoding logluv32 --calibration-factor {factor}")).done();
         range(&folder, "l32.tif");
         folder.line(&format!("{MERGE} -o f.exr -o f.tif --exr-type float --calibration-factor {factor}")).done();
@@ -59,20 +60,20 @@ fn invalid_exposures_are_rejected() {
         let run = folder.line(&format!("{MERGE} -o a.exr -e={ev}"));
         assert!(run.code == 2 && run.stderr.contains("-e"), "{ev}: {run:?}");
     }
-    // The largest accepted difference: every pixel is finite, whatever the meaning for this scene.
+    // With the largest accepted difference of exposures every pixel is finite, although it is wrong for this scene.
     folder.line(&format!("{MERGE} -o a.exr -o a.hdr -o a.png --exr-type float -e=-40,0,40")).done();
     assert!(range(&folder, "a.exr").0 > 0.0);
     range(&folder, "a.hdr");
 }
 
-/// An EXIF exposure of 0, infinite, or impossible for a camera, counts as missing.
+/// An EXIF exposure that is 0, infinite, or impossible for a camera counts as missing.
 #[test]
 fn impossible_exposures_in_exif_are_estimated() {
     let folder = Folder::empty();
     for i in 2..=4 {
         let mut bytes = jpeg(&small(i), Some(i));
-        // The exposure time is a rational in the block: its bytes are replaced by 0/1, 1/0, 4294967295/1, in the byte
-        // order of the file.
+        // The exposure time is a rational in the EXIF block: its bytes are replaced by those of 0/1, 1/0 or
+        // 4294967295/1, in the byte order of the file.
         let exif = exif::Reader::new().read_from_container(&mut std::io::Cursor::new(&bytes)).expect("EXIF");
         let field = exif.get_field(exif::Tag::ExposureTime, exif::In::PRIMARY).expect("a time");
         let exif::Value::Rational(time) = &field.value else { panic!("a rational") };

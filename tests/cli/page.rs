@@ -1,6 +1,6 @@
 //! The report page: self-contained, correct, and safe for any file names.
 //!
-//! `cargo test --test cli page -- --ignored` opens it in Chromium (`HDRALIGN_CHROMIUM` names another program), with
+//! `cargo test --test cli page -- --ignored` opens the page in Chromium (or the program in `HDRALIGN_CHROMIUM`), with
 //! `tests/page_in_chromium.py`.
 
 use crate::support::{FRAMES, Folder, jpeg, small, small_jpeg, window};
@@ -17,36 +17,37 @@ fn page(folder: &Folder, line: &str) -> String {
     String::from_utf8(folder.bytes("page.html")).expect("UTF-8")
 }
 
-/// The tags of the page, without the contents of `data:` URLs, style and script.
+/// Returns the tags in the body of the page up to the script, without the angle brackets.
 fn tags(html: &str) -> Vec<&str> {
     let body = html.split_once("<body>").expect("a body").1.split_once("<script>").expect("a script").0;
     body.split('<').skip(1).map(|t| t.split_once('>').expect("an end of the tag").0).collect()
 }
 
-/// The values of `name="..."` in each of the tags.
+/// Returns the values of the attribute `name` of the tags that have it.
 fn attributes<'a>(tags: &[&'a str], name: &str) -> Vec<&'a str> {
     let start = format!(" {name}=\"");
     tags.iter().filter_map(|t| Some(t.split_once(start.as_str())?.1.split('"').next().unwrap_or_default())).collect()
 }
 
-/// The picture in the first `src="data:...` after `mark`.
+/// Returns the picture in the first `src="data:...` after `mark`.
 fn picture(html: &str, mark: &str) -> RgbImage {
     let from = html.split_once(mark).unwrap_or_else(|| panic!("{mark}")).1;
     let data = from.split_once("src=\"data:image/jpeg;base64,").expect("a picture").1;
     let bytes = STANDARD.decode(data.split('"').next().expect("an end")).expect("base64");
-    // Not by `image`, whose decoder is wrong for chroma at half the resolution in some sizes.
+    // Not decoded by `image`, which is wrong for chroma at half the resolution in some sizes.
     let mut decoder = jpeg_decoder::Decoder::new(&bytes[..]);
     let pixels = decoder.decode().expect("a picture");
     let size = decoder.info().expect("a size");
     RgbImage::from_raw(size.width.into(), size.height.into(), pixels).expect("three channels")
 }
 
-/// The picture of frame `name`, from its card.
+/// Returns the picture of frame `name` in its card on the page.
 fn card(html: &str, name: &str) -> GrayImage {
     image::DynamicImage::from(picture(html, &format!("data-caption=\"{name}"))).to_luma8()
 }
 
-/// Correlation of the edges of `a` with those of `b` moved by so much, -1..=1; both have the same size.
+/// Returns the correlation, -1..=1, of the edges of `a` with those of `b` moved by (dx, dy) pixels; both have the same
+/// size.
 fn agreement(a: &GrayImage, b: &GrayImage, (dx, dy): (i64, i64)) -> f64 {
     assert_eq!(a.dimensions(), b.dimensions());
     let (w, h) = (i64::from(a.width()), i64::from(a.height()));
@@ -65,13 +66,13 @@ fn agreement(a: &GrayImage, b: &GrayImage, (dx, dy): (i64, i64)) -> f64 {
     both / (one * two).sqrt()
 }
 
-/// The page without parts that depend on the speed of the machine.
+/// Returns the page without the parts that depend on the speed of the machine.
 fn without_times(html: &str) -> String {
     let is_time = |line: &&str| line.contains("class=\"bar\"") || line.contains("<dt>Time</dt>");
     html.lines().filter(|line| !is_time(line)).collect::<Vec<_>>().join("\n")
 }
 
-/// Checks that nothing is loaded from elsewhere.
+/// Checks that the page loads nothing from elsewhere and has no event handlers.
 fn assert_whole(html: &str) {
     let tags = tags(html);
     let loaded: Vec<&str> = ["src", "href", "srcset", "data", "action", "poster", "xlink:href"]
@@ -85,7 +86,7 @@ fn assert_whole(html: &str) {
     }
     assert!(html.contains("default-src 'none'; img-src data:;"));
     assert!(tags.iter().all(|t| !t.starts_with("script") && !t.starts_with("link") && !t.starts_with("iframe")));
-    // The rest of a tag without its quoted values: there are no handlers among the attributes.
+    // The tags without quoted values, so that only names of attributes are left: none is an event handler.
     let bare: Vec<String> = tags.iter().map(|t| t.split('"').step_by(2).collect()).collect();
     let words = bare.iter().flat_map(|t| t.split_whitespace().skip(1));
     let names: Vec<&str> = words.filter(|a| a.starts_with("on")).collect();
@@ -110,12 +111,12 @@ fn page_of_a_merge_is_complete_and_self_contained() {
     let crop = picture(&html, "class=\"canvas\"");
     assert_eq!(crop.width(), image::image_dimensions(window(1)).map(|size| size.0).expect("a size").min(crop.width()));
     assert_eq!(html.matches(&format!("width=\"{}\" height=\"{}\" alt=", crop.width(), crop.height())).count(), 6);
-    assert!(html.contains("100\u{a0}% is that of the file") && !html.contains("look softer"));
-    // Choices of pictures and zooms: the result and every frame; fit, 100 % and 200 %.
+    assert!(html.contains("100\u{a0}% here is 100\u{a0}% of the file") && !html.contains("look softer"));
+    // The choices are: pictures (the result and every frame) and zooms (fit, 100 % and 200 %).
     assert_eq!((html.matches("name=\"shown\"").count(), html.matches("name=\"zoom\"").count()), (1 + FRAMES, 3));
     // Nothing moved: there is no overlay to switch on.
     assert!(!html.contains("type=\"checkbox\"") && html.contains("Nothing moved in the scene."));
-    // Four frames moved: each has a slider; rotation and two shifts for each.
+    // Four frames moved; each has a slider and plots over rotation and both shifts.
     assert_eq!((html.matches("type=\"range\"").count(), html.matches("rotation, degrees</text>").count()), (4, 4));
     for section in ["frames", "settings", "details"] {
         assert!(html.contains(&format!("<section id=\"{section}\"")), "{section}");
@@ -162,7 +163,7 @@ fn frames_on_the_page_are_aligned_with_the_result() {
 fn large_picture_is_reduced_with_a_note() {
     let folder = Folder::empty();
     for (i, stops) in [-1.0, 1.0].iter().enumerate() {
-        // Noise, which JPEG compresses badly.
+        // The noise makes the JPEG large.
         let photograph = RgbImage::from_fn(2400, 1600, |x, y| {
             let grain = f64::from(((x * 7919) ^ (y * 104_729)).wrapping_mul(0x9E37_79B9) >> 26) - 32.0;
             let v = 110.0 + 50.0 * (f64::from(x) / 70.0).sin() + 40.0 * (f64::from(y) / 50.0).cos() + grain;
@@ -202,7 +203,7 @@ fn movement_is_laid_over_the_picture() {
     let from = html.split_once("class=\"over movement\"").expect("an overlay").1.split_once("base64,").expect("data").1;
     let bytes = STANDARD.decode(from.split('"').next().expect("an end")).expect("base64");
     let overlay = image::load_from_memory(&bytes).expect("a picture").to_rgba8();
-    // It is coloured over the square, and transparent in a corner.
+    // The overlay is coloured over the square, and transparent in a corner.
     assert_eq!(overlay.dimensions(), (300, 200));
     assert!(overlay.get_pixel(150, 100)[3] > 100 && overlay.get_pixel(3, 3)[3] == 0);
     let off = page(&folder, "merge w2.jpg w3.jpg w4.jpg --reference w3.jpg --deghost=off -o a.exr");
@@ -233,7 +234,7 @@ fn page_is_the_same_except_for_times() {
     let folder = Folder::with_bracket();
     let line = "merge w1.jpg w2.jpg w3.jpg w4.jpg w5.jpg -o a.exr";
     let first = page(&folder, &format!("{line} --threads 1"));
-    // With the smallest memory limit, with the frames on disk.
+    // The smallest memory limit, with which the frames are on disk.
     let second = page(&folder, &format!("{line} --threads 16 --max-memory 64MB"));
     assert_eq!(without_times(&first), without_times(&second));
     let results = folder.bytes("a.exr");
@@ -249,7 +250,7 @@ fn names_are_escaped_and_warnings_are_shown() {
     for (i, name) in hostile.iter().enumerate() {
         folder.put(name, small_jpeg(i + 2));
     }
-    // Another scene: it is rejected, with a warning.
+    // A frame of another scene, which is rejected with a warning.
     let stripes = image::RgbImage::from_fn(300, 200, |x, y| image::Rgb([(x * 7 % 256) as u8, (y * 3 % 256) as u8, 40]));
     folder.put("stripes.jpg", &crate::support::jpeg(&stripes, Some(5)));
     let arguments = ["merge", "-o", "a.exr", "--report", "page.html", "stripes.jpg"].iter().chain(&hostile);
@@ -265,10 +266,10 @@ fn names_are_escaped_and_warnings_are_shown() {
         assert!(html.contains(name), "{name}");
     }
     assert!(!html.contains("<img src=x") && html.matches("<script").count() == 1);
-    // The same warnings as on stderr.
+    // The page has the same warnings as stderr.
     let said: Vec<&str> = run.stderr.lines().filter_map(|l| l.strip_prefix("warning: ")).collect();
     let left_out = said.iter().find(|w| w.contains("stripes.jpg")).unwrap_or_else(|| panic!("{}", run.stderr));
-    // What was found, and the remedy.
+    // The page shows what was found, and the remedy.
     let (what, remedy) = left_out.split_once(": ").and_then(|(_, text)| text.rsplit_once("; ")).expect("a remedy");
     assert!(html.contains(&format!("<b>Have a look: stripes.jpg.</b> {}", what.replacen('r', "R", 1))), "{what}");
     let remedy = remedy.replacen("if", "If", 1).replace("--unmoved", "<code>--unmoved</code>");

@@ -1,11 +1,12 @@
-//! Frames with local tone mapping by a phone, through the program.
+//! Frames with local tone mapping by a phone, tested with the program.
 
 use crate::support::Folder;
 use image::{Rgb, RgbImage};
 use std::io::Cursor;
 
-/// A frame `stops` longer than the middle one of a dark room with a bright window, as rendered by a camera or a
-/// phone. The phone brightens dark and darkens bright parts, up to a limit, separately for the window and the room.
+/// Returns a frame of a dark room with a bright window, with an exposure `stops` longer than that of the middle frame,
+/// as rendered by a camera or a phone. The phone brightens dark parts and darkens bright parts, up to a limit,
+/// separately for the window and the room.
 fn frame(stops: i32, is_phone: bool) -> Vec<u8> {
     let picture = RgbImage::from_fn(360, 240, |x, y| {
         let window = (200..300).contains(&x) && (60..160).contains(&y);
@@ -14,7 +15,7 @@ fn frame(stops: i32, is_phone: bool) -> Vec<u8> {
         let gain = if is_phone { (base / 0.18).powf(-0.55).clamp(0.25, 3.0) } else { 1.0 };
         let v = (base * texture * gain).min(1.0);
         let code = if v <= 0.0031308 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 };
-        // A code of noise, from a hash of the position.
+        // Noise of up to two code values, from a hash of the position.
         let noise = (x + 360 * y + stops.unsigned_abs()).wrapping_mul(0x9E37_79B9) >> 30;
         Rgb([(255.0 * code + f64::from(noise) - 1.0).clamp(0.0, 255.0) as u8; 3])
     });
@@ -43,7 +44,7 @@ fn frames_of_a_phone_are_named_merged_with_a_gain_and_strict_exits_with_3() {
     let run = folder.line(&format!("{MERGE} --report r.json"));
     assert_eq!(run.code, 0, "{}", run.stderr);
     assert!(run.stderr.contains("a.png, b.png, c.png: locally processed"), "{}", run.stderr);
-    assert!(run.stderr.contains("frames     frames tone-mapped locally by the camera"), "{}", run.stderr);
+    assert!(run.stderr.contains("frames     tone-mapped locally by the camera"), "{}", run.stderr);
     let local = report(&folder)["local_processing"].clone();
     assert_eq!(local["locally_processed"], true, "{local}");
     let frames = local["frames"].as_array().expect("a list");
@@ -58,7 +59,7 @@ fn frames_of_a_phone_are_named_merged_with_a_gain_and_strict_exits_with_3() {
     folder.line(&format!("{MERGE} --report r.html")).done();
     let html = folder.bytes("r.html");
     let html = String::from_utf8_lossy(&html);
-    // On the page the local processing of each frame except the reference can be laid over the picture.
+    // The page has an overlay of the local processing of each frame except the reference.
     for words in [
         "Local gain",
         "class=\"over gain\"",

@@ -1,4 +1,4 @@
-//! Options of pictures: bits, formats, colours, capture data, crops and sizes. Results are read by other decoders.
+//! Options of pictures: bits, formats, colours, capture data, crops and sizes. Results are read with other decoders.
 
 use crate::support::{Folder, jpeg, small};
 use hdralign::bracket::colour::{Conversion, Primaries, Space, srgb_to_linear};
@@ -10,7 +10,7 @@ use image::{DynamicImage, ImageDecoder, ImageReader};
 
 const MERGE: &str = "merge w2.jpg w3.jpg w4.jpg --align none -q --force";
 
-/// The codes of a 16-bit picture, and its size.
+/// Returns the code values of a 16-bit picture, and its size.
 fn sixteen(folder: &Folder, name: &str) -> (Vec<u16>, (u32, u32)) {
     match image::open(folder.at(name)).unwrap_or_else(|e| panic!("{name}: {e}")) {
         DynamicImage::ImageRgb16(picture) => {
@@ -21,7 +21,7 @@ fn sixteen(folder: &Folder, name: &str) -> (Vec<u16>, (u32, u32)) {
     }
 }
 
-/// The codes of an 8-bit picture, and its size.
+/// Returns the code values of an 8-bit picture, and its size.
 fn eight(folder: &Folder, name: &str) -> (Vec<u8>, (u32, u32)) {
     match image::open(folder.at(name)).unwrap_or_else(|e| panic!("{name}: {e}")) {
         DynamicImage::ImageRgb8(picture) => {
@@ -32,7 +32,7 @@ fn eight(folder: &Folder, name: &str) -> (Vec<u8>, (u32, u32)) {
     }
 }
 
-/// Checks that `line` is wrong usage, with a message that contains all of `said`.
+/// Checks that `line` is refused as wrong usage, with a message that contains all of `said`.
 fn refused(folder: &Folder, line: &str, said: &[&str]) {
     let before = folder.listing();
     let run = folder.line(line);
@@ -40,8 +40,9 @@ fn refused(folder: &Folder, line: &str, said: &[&str]) {
     assert!(said.iter().all(|part| run.stderr.contains(part)), "{line}: {}", run.stderr);
 }
 
-/// 8-bit codes are rounded from the same floats: half an 8-bit code is 128.5 16-bit codes, and the tables add 0.05.
-/// Codes scaled from 8 bits would all be multiples of 257; of codes from floats one in 257 is.
+/// Code values of 8 and of 16 bits are rounded from the same floats: half an 8-bit step is 128.5 16-bit steps, and
+/// tables add 0.05. If 16-bit values were scaled from 8 bits, all would be multiples of 257; of values rounded from
+/// floats, one in 257 is.
 #[test]
 fn codes_of_16_bits_are_of_the_floats() {
     let folder = Folder::with_bracket();
@@ -69,7 +70,7 @@ fn bits_that_a_file_does_not_hold_are_refused() {
     }
 }
 
-/// The profile embedded in a file, and its description.
+/// Returns the profile embedded in a file, and its description.
 fn profile(folder: &Folder, name: &str) -> Option<(moxcms::ColorProfile, String)> {
     let mut decoder = ImageReader::open(folder.at(name)).expect("a file").into_decoder().expect("a picture");
     let icc = decoder.icc_profile().expect("a readable file")?;
@@ -79,7 +80,7 @@ fn profile(folder: &Folder, name: &str) -> Option<(moxcms::ColorProfile, String)
     Some((profile, words))
 }
 
-/// Converts `codes` from `profile` to sRGB with another colour management.
+/// Converts `codes` from `profile` to sRGB with another implementation of colour management.
 fn to_srgb(profile: &moxcms::ColorProfile, codes: &[u8]) -> Vec<u8> {
     let (layout, srgb) = (moxcms::Layout::Rgb, moxcms::ColorProfile::new_srgb());
     let options = moxcms::TransformOptions::default();
@@ -89,8 +90,8 @@ fn to_srgb(profile: &moxcms::ColorProfile, codes: &[u8]) -> Vec<u8> {
     out
 }
 
-/// Mean difference of codes, and the difference that 19 of 20 do not exceed: saturated colours are desaturated if
-/// they are outside of a space.
+/// Returns the mean difference of code values, and the difference that 19 of 20 do not exceed. (The largest differences
+/// are not used, because saturated colours outside of a colour space are desaturated.)
 fn difference(a: &[u8], b: &[u8]) -> (f64, u8) {
     let mut off: Vec<u8> = a.iter().zip(b).map(|(a, b)| a.abs_diff(*b)).collect();
     let mean = off.iter().map(|&d| f64::from(d)).sum::<f64>() / off.len() as f64;
@@ -98,7 +99,8 @@ fn difference(a: &[u8], b: &[u8]) -> (f64, u8) {
     (mean, *off.select_nth_unstable(place).1)
 }
 
-/// Converted by its profile, a picture in any colour space looks like that in sRGB; without the profile it does not.
+/// A picture in any colour space, converted to sRGB by its profile, looks like the picture in sRGB; read without the
+/// profile, it does not.
 #[test]
 fn profile_describes_the_colours_in_every_format() {
     let folder = Folder::with_bracket();
@@ -117,7 +119,8 @@ fn profile_describes_the_colours_in_every_format() {
                 let (profile, named) = profile(&folder, name).unwrap_or_else(|| panic!("{name} has no profile"));
                 assert_eq!(named, words, "{name}");
                 let (mean, most) = difference(&to_srgb(&profile, &codes), srgb);
-                // Fusion depends on codes, which differ; JPEG has losses even at the best quality.
+                // Fusion depends on the code values, which differ between colour spaces; JPEG has losses even at the
+                // best quality.
                 let is_fused = line.contains("mertens");
                 let allowed = if *name == "a.jpg" { 1.0 } else { 0.0 } + if is_fused { 2.2 } else { 0.7 };
                 assert!(
@@ -129,7 +132,7 @@ fn profile_describes_the_colours_in_every_format() {
             }
         }
     }
-    // cICP of Display P3 for readers that support it; the profile for the others.
+    // The PNG has a cICP chunk of Display P3 for readers that support it, and the profile for other readers.
     folder.line("tonemap a.exr --picture a.png --picture-color display-p3 --bit-depth 16 -q --force").done();
     let bytes = folder.bytes("a.png");
     let at = |name: &[u8; 4]| bytes.windows(4).position(|w| w == name);
@@ -138,7 +141,7 @@ fn profile_describes_the_colours_in_every_format() {
     assert!(Some(cicp) < at(b"iCCP") && at(b"iCCP") < at(b"IDAT") && at(b"sRGB").is_none());
 }
 
-/// Display P3's red is unchanged in a picture in Display P3, and desaturated in one in sRGB.
+/// The red of Display P3 is unchanged in a picture in Display P3, and desaturated in a picture in sRGB.
 #[test]
 fn gamut_is_that_of_the_picture() {
     let folder = Folder::empty();
@@ -152,7 +155,7 @@ fn gamut_is_that_of_the_picture() {
     let display = DisplayImage { pixels: Plane::filled(90, 60, [0; 3]) };
     let files = write::write(&[folder.at("a.tif")], &map, &display, &Metadata::default(), &write::Options::default());
     write::commit(files.expect("a file").into_iter().map(|w| w.file).collect(), false).expect("a name");
-    // The fraction of other light in red, in Display P3's primaries.
+    // Green and blue light in the red pixels relative to red, in the primaries of Display P3.
     let other = |options: &str, space: Space| {
         folder.line(&format!("tonemap a.tif --tmo drago --picture p.png -q --force {options}")).done();
         let (codes, _) = eight(&folder, "p.png");
@@ -162,7 +165,7 @@ fn gamut_is_that_of_the_picture() {
         (light[1] / light[0], light[2] / light[0])
     };
     let (p3, srgb) = (other("--picture-colour display-p3", Space::DisplayP3), other("", Space::Srgb));
-    // The tone curve reduces saturation a little; 8-bit codes round by 5 % of it.
+    // The tone curve adds a little green and blue; rounding to 8 bits changes this by up to 5 %.
     assert!(p3.0 < 0.015 && (p3.0 / p3.1 - 1.0).abs() < 0.05, "{p3:?}");
     assert!(srgb.0 > 2.0 * p3.0, "{srgb:?} {p3:?}");
 }
@@ -179,7 +182,7 @@ fn picture_option_writes_a_picture_for_any_extension() {
     assert_eq!(format!("{resolution:?}"), "Rational(72, 1)");
     assert_eq!(tiff.get_tag_u32(tiff::tags::Tag::ResolutionUnit).expect("a unit"), 2);
     assert_eq!(tiff.get_tag_u32(tiff::tags::Tag::Compression).expect("a kind"), 8);
-    // Pictures are neither radiance nor photographs.
+    // Pictures that hdralign wrote are accepted neither as radiance nor as photographs.
     assert_eq!(folder.line("tonemap b.tif -o x.png").code, 1);
     refused(&folder, "merge w1.jpg w2.jpg b.tif -o x.exr", &["b.tif is a result of hdralign"]);
     // With --picture only a picture is written.
@@ -221,14 +224,14 @@ fn batch_makes_pictures_beside_its_results() {
     refused(&folder, "batch in -d other --formats png,jpg --bit-depth 16", &["--bit-depth", "JPEG"]);
 }
 
-/// Without deghosting, which has its own cells, the radiance of a crop has the same bytes as that part of the whole;
-/// all results show the crop.
+/// Without deghosting, whose cells depend on the crop, the radiance of a crop is equal to that part of the whole, bit
+/// by bit; all results show the crop.
 #[test]
 fn crop_equals_that_part_of_the_whole() {
     let folder = Folder::with_bracket();
     let merge = "merge w1.jpg w2.jpg w3.jpg w4.jpg --reference w3.jpg --deghost=off --exr-type float -q --force";
     folder.line(&format!("{merge} -C none -o whole.exr")).done();
-    // The upper left corner, which some frames do not cover.
+    // The crop is at the upper left corner, which some frames do not cover.
     let outputs = "-o part.exr --picture part.tif --save-aligned al_ --report r.json";
     folder.line(&format!("{merge} -C 0,5,120,90 {outputs}")).done();
     let radiance = |name: &str| hdralign::read::read(&folder.at(name)).expect("radiance").0.pixels;
@@ -251,8 +254,8 @@ fn crop_equals_that_part_of_the_whole() {
     }
 }
 
-/// Compared with another implementation of Lanczos in linear light: the differences are limited ringing, and
-/// rounding.
+/// Compares with another implementation of Lanczos resampling in linear light, which differs only by the limitation of
+/// ringing and by rounding.
 #[test]
 fn smaller_picture_is_the_light_of_the_large_one() {
     let folder = Folder::with_bracket();
@@ -283,7 +286,8 @@ fn smaller_picture_is_the_light_of_the_large_one() {
 fn gain_map_follows_the_smaller_picture() {
     let folder = Folder::with_bracket();
     folder.line(&format!("{MERGE} -o a.exr --exr-type float")).done();
-    folder.line("tonemap a.exr --picture a.jpg --resize 150 -q").done();
+    let run = folder.line("tonemap a.exr --picture a.jpg --resize 150").done();
+    assert!(run.stderr.contains("300 x 200 pixels, picture 150 x 100, "), "{}", run.stderr);
     let bytes = folder.bytes("a.jpg");
     let second = bytes.windows(4).rposition(|w| w[..3] == [0xFF, 0xD8, 0xFF]).expect("a second picture");
     let [base, map] = [&bytes[..second], &bytes[second..]].map(|jpeg| image::load_from_memory(jpeg).expect("a JPEG"));
@@ -306,7 +310,7 @@ fn picture_is_never_enlarged_and_size_without_picture_is_refused() {
     }
 }
 
-/// A reduced picture of several slabs: the same bytes on any number of threads and with little memory.
+/// A reduced picture that consists of several slabs has the same bytes on any number of threads and with little memory.
 #[test]
 fn smaller_picture_has_the_same_bytes_on_any_threads_and_memory() {
     let folder = Folder::empty();

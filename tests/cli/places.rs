@@ -20,13 +20,13 @@ fn transforms_are_written_once_and_taken_ever_after() {
     let text = std::fs::read_to_string(folder.at("t.json")).expect("a file");
     let saved: Value = serde_json::from_str(&text).expect("JSON");
     assert_eq!((&saved["schema"], &saved["reference"]), (&"hdralign-transforms/1".into(), &"w3.jpg".into()));
-    // The same result as without the file, exactly; the reference is that of the file.
+    // The result is exactly the one without the file; the reference is that of the file.
     folder.line("merge w2.jpg w3.jpg w4.jpg --reference 2 -o found.exr").done();
     let taken = folder.line("merge w2.jpg w3.jpg w4.jpg --transforms t.json -o taken.exr --json").done();
     assert!(std::fs::read(folder.at("found.exr")).unwrap() == std::fs::read(folder.at("taken.exr")).unwrap());
     let said = report(&taken.stdout);
     assert_eq!((&said["transforms_from"], &said["reference"]), (&"t.json".into(), &"w3.jpg".into()));
-    // A transform that was changed by hand is used, and --force does not replace the file.
+    // A transform that the user changed in the file is used, and --force does not replace the file.
     let mut moved = saved.clone();
     moved["frames"][0]["homography"] = serde_json::json!([1.0, 0.0, 12.5, 0.0, 1.0, -7.0, 0.0, 0.0, 1.0]);
     std::fs::write(folder.at("t.json"), moved.to_string()).unwrap();
@@ -67,7 +67,7 @@ fn frames_are_left_out_or_left_unmoved_by_name() {
     assert_eq!((&out["status"], &out["homography"]), (&"rejected".into(), &Value::Null));
     assert_eq!((&still["status"], &still["confidence"]), (&"unmoved".into(), &1.0.into()));
     assert_eq!(said["crop"]["width_px"], 300, "what is left out does not narrow the crop");
-    // An excluded frame is not the reference, unless it is chosen as such.
+    // An excluded frame is not selected as the reference; to choose it as the reference is an error.
     let automatic = folder.line("align w2.jpg w3.jpg w4.jpg --json").done();
     let best = report(&automatic.stdout)["reference"].as_str().expect("a name").to_owned();
     let without = folder.line(&format!("align w2.jpg w3.jpg w4.jpg --leave-out {best} --json")).done();
@@ -82,7 +82,8 @@ fn frames_are_left_out_or_left_unmoved_by_name() {
     }
 }
 
-/// The small bracket and its transforms `t.json`, in which `change` modifies the entry of `w2.jpg`.
+/// Returns a folder with the small bracket and the file of its transforms `t.json`, in which `change` modified the
+/// entry of `w2.jpg`.
 fn with_place(change: impl Fn(&mut Value)) -> Folder {
     let folder = Folder::with_bracket();
     folder.line("align w2.jpg w3.jpg w4.jpg --reference 2 --transforms t.json").done();
@@ -118,7 +119,7 @@ fn small_overlap_is_a_warning_and_no_overlap_an_error() {
 
 #[test]
 fn rejection_in_transforms_is_a_warning_unless_by_the_user() {
-    // Written by hand, without a confidence.
+    // An entry as a user would write it, without a confidence.
     let folder = with_place(|frame| {
         *frame = serde_json::json!({ "file": "w2.jpg", "status": "rejected", "homography": null, "reason": "a bird" });
     });
@@ -126,7 +127,7 @@ fn rejection_in_transforms_is_a_warning_unless_by_the_user() {
     assert_eq!(run.code, 3, "{run:?}");
     assert!(run.stderr.contains("w2.jpg: rejected: a bird"), "{run:?}");
     assert_eq!(frame(&report(&run.stdout), "w2.jpg")["rejected_by"], "alignment");
-    // Frames excluded by the user are recorded in the file, and stay excluded.
+    // Frames that the user excludes are recorded in the file, and stay excluded in later runs.
     let folder = Folder::with_bracket();
     let line = "align w2.jpg w3.jpg w4.jpg --reference 2 --transforms t.json --json --strict";
     for line in [&format!("{line} --leave-out w2.jpg"), line] {

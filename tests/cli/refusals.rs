@@ -1,9 +1,11 @@
-//! Errors: file and remedy on stderr, the right exit code, nothing on stdout, no files.
+//! Errors: stderr names the file and the remedy, the exit code is right, nothing is on stdout, and no files are
+//! written.
 
 use crate::support::{Folder, jpeg, small, small_jpeg};
 use std::fs;
 
-/// Runs `line` in `folder`, and checks what all errors have in common; `said` are parts of the message.
+/// Runs `line` in `folder`, and checks that it fails with `code`, with all of `said` in the message, nothing on stdout,
+/// and no file left or lost.
 fn refused(folder: &Folder, line: &str, code: i32, said: &[&str]) {
     let before = folder.listing();
     let run = folder.line(line);
@@ -29,7 +31,7 @@ fn a_missing_file_is_named() {
 fn a_truncated_jpeg_is_named_and_to_be_copied_again() {
     let folder = Folder::with_bracket();
     let whole = small_jpeg(2);
-    // Truncated in the middle, near the end of the picture, and in the headers.
+    // The file is truncated in the middle, near the end of the picture, or in the headers.
     for length in [whole.len() / 2, whole.len() * 9 / 10, 300] {
         folder.put("cut.jpg", &whole[..length]);
         refused(&folder, "merge w1.jpg cut.jpg -o a.exr -o a.png", 1, &["cut.jpg", "JPEG", "copy the file again"]);
@@ -99,10 +101,10 @@ fn an_output_in_no_folder_is_refused_before_any_work() {
     refused(&folder, &format!("{bad} w3.jpg/a.png"), 1, &["w3.jpg/a.png", "not a folder"]);
     fs::create_dir(folder.at("sub.png")).expect("a folder");
     refused(&folder, &format!("{bad} sub.png"), 1, &["sub.png", "it is a folder"]);
-    // One remedy, not two.
+    // There is one remedy, not two.
     let run = folder.line(&format!("{bad} none/a.png"));
-    assert!(!run.stderr.contains("the space left"), "{}", run.stderr);
-    // No work was done: the photographs, one of which is missing, were not read.
+    assert!(!run.stderr.contains("the free disk space"), "{}", run.stderr);
+    // The error is reported before any work: that one of the photographs is missing was not noticed.
     refused(&folder, "merge w1.jpg gone.jpg -o none/a.png", 1, &["none/a.png"]);
 }
 
@@ -114,7 +116,7 @@ fn a_folder_that_cannot_be_written_is_named() {
     let locked = folder.at("locked");
     fs::create_dir(&locked).expect("a folder");
     fs::set_permissions(&locked, fs::Permissions::from_mode(0o555)).expect("permissions");
-    // Root can write to every folder; then this test has nothing to check, and the previous one covers the rest.
+    // Root can write to every folder, so this test checks nothing if it is run by root.
     if fs::write(locked.join("probe"), "").is_err() {
         refused(&folder, "merge w2.jpg w3.jpg -o a.exr -o locked/a.png", 1, &["locked/a.png", "permissions"]);
         assert_eq!(fs::read_dir(&locked).expect("the folder").count(), 0);
@@ -164,7 +166,7 @@ fn an_output_is_never_an_input() {
 fn options_with_values_that_cannot_be_used_are_wrong_usage() {
     let folder = Folder::with_bracket();
     for (options, said) in [
-        ("-e 1", &["-e", "1 exposures for 2 photographs", "one for each"][..]),
+        ("-e 1", &["-e", "1 exposures for 2 photographs", "for each photograph"][..]),
         ("-e=0,1,2", &["-e", "3 exposures for 2 photographs"]),
         ("-e=0,x", &["--ev", "'x'"]),
         ("--reference 9", &["--reference", "9", "1 to 2"]),
@@ -202,7 +204,7 @@ fn options_with_values_that_cannot_be_used_are_wrong_usage() {
     }
 }
 
-/// The second `merge *.jpg` also names the results of the first.
+/// A second `merge *.jpg` also names the results of the first one.
 #[test]
 fn results_are_not_used_as_photographs() {
     let folder = Folder::with_bracket();
@@ -220,7 +222,7 @@ fn results_are_not_used_as_photographs() {
     for command in ["align", "inspect -d x", "response -o x.json"] {
         refused(&folder, &format!("{command} w1.jpg w2.jpg r.jpg"), 2, &["r.jpg is a result"]);
     }
-    // A folder stands for the photographs in it, and results may be compared.
+    // If `response` is given a folder, it uses only the photographs in it. Results may be compared.
     let all = folder.line("response . -o all.json --json").done();
     let json: serde_json::Value = serde_json::from_str(&all.stdout).expect("JSON");
     assert_eq!(json["brackets"][0]["frames"].as_array().map(Vec::len), Some(5));
@@ -240,16 +242,18 @@ fn folders_are_left_to_batch() {
         ("inspect w2.jpg w3.jpg -d w1.jpg", "it is a file, not a folder; give a folder with -d"),
     ] {
         refused(&folder, line, 1, &["w1.jpg", said]);
-        assert!(!folder.line(line).stderr.contains("the space left"), "{line}");
+        assert!(!folder.line(line).stderr.contains("the free disk space"), "{line}");
     }
 }
 
 #[test]
 fn tips_and_usage_match_the_typed_command() {
     let folder = Folder::with_bracket();
-    let line = "merge w2.jpg w3.jpg --sharpen 50";
-    refused(&folder, line, 2, &["'--sharpen'", "Usage: hdralign merge [OPTIONS] <IMAGES>..."]);
-    assert!(!folder.line(line).stderr.contains("tip"));
+    // Before photographs, clap would suggest to pass the option as one of them.
+    for line in ["merge w2.jpg w3.jpg --sharpen 50", "align --sharpen 50 w2.jpg w3.jpg"] {
+        refused(&folder, line, 2, &["'--sharpen'", " [OPTIONS] <IMAGES>..."]);
+        assert!(!folder.line(line).stderr.contains("tip"));
+    }
     refused(&folder, "melt", 2, &["'melt'\n\nUsage: hdralign <COMMAND>\n"]);
     for (line, tip) in [
         ("merge --refrence 1", "tip: a similar argument exists: '--reference'"),
@@ -268,7 +272,7 @@ fn transforms_of_other_photographs_are_named() {
     folder.line("align w2.jpg w3.jpg --reference w3.jpg --transforms t.json").done();
     for options in ["", "--reference w4.jpg"] {
         let line = format!("merge w4.jpg w5.jpg --transforms t.json -o a.exr {options}");
-        refused(&folder, &line, 1, &["t.json", "for other photographs", "its reference, w3.jpg, is not among these"]);
+        refused(&folder, &line, 1, &["t.json", "for other photographs", "its reference w3.jpg is not among these"]);
     }
 }
 

@@ -22,7 +22,7 @@ fn keys(v: &Value) -> Vec<&str> {
     keys
 }
 
-/// Keys may be added, so only the keys of the contract are required.
+/// Checks that `v` has the keys `wanted`; it may have others, because keys may be added to the format.
 fn assert_has(v: &Value, wanted: &[&str]) {
     for key in wanted {
         assert!(keys(v).contains(key), "{key} is missing among {:?}", keys(v));
@@ -65,7 +65,7 @@ fn check_alignment(a: &Value) {
     let shift: Vec<f64> =
         a["shift_px"].as_array().expect("a list").iter().map(|n| n.as_f64().expect("a number")).collect();
     assert_eq!(shift.len(), 2);
-    // The centre of a 300 x 200 picture, transformed by the nine numbers by rows, gives the shift.
+    // The centre of a 300 x 200 picture is moved by the homography (nine numbers by rows) by the shift.
     let (x, y) = (149.5, 99.5);
     let w = nine[6] * x + nine[7] * y + nine[8];
     assert!(((nine[0] * x + nine[1] * y + nine[2]) / w - x - shift[0]).abs() < 1e-9);
@@ -111,7 +111,7 @@ fn a_merge_reports_every_key_of_the_contract() {
     let radiance = &report["radiance"]["radiance"];
     assert!(number(radiance, "min") < number(radiance, "max"), "{radiance}");
     assert!((5.0..30.0).contains(&number(radiance, "dynamic_range_stops")), "{radiance}");
-    // An 8-bit frame has at most 9.2 stops: codes 6 to 250 of the sRGB curve are 9.04.
+    // An 8-bit frame has at most 9.2 stops: code values 6 to 250 of the sRGB curve are 9.04 stops.
     let merged = &report["radiance"];
     let exposures: Vec<f64> = report["frames"]
         .as_array()
@@ -187,7 +187,7 @@ fn every_source_of_the_response_is_reported() {
     };
     let (robertson, by_robertson) = found("robertson");
     assert_eq!((text(&robertson, "model"), robertson["exposure_ratios"].is_null()), ("robertson", true));
-    // It does not solve a system of equations, which would have a condition.
+    // `robertson` solves no system of equations, so there is no condition number.
     assert!(robertson["channels"][1]["condition"].is_null(), "{robertson}");
     let (cubic, by_cubic) = found("mitsunaga-nayar --response-degree 3");
     assert_eq!(text(&cubic, "model"), "mitsunaga-nayar");
@@ -222,7 +222,7 @@ fn static_frame_is_unmoved_and_frame_of_another_scene_rejected() {
     let status = |r: &Value, i: usize| r["frames"][i]["alignment"]["status"].as_str().map(str::to_owned);
     assert_eq!(status(&report, 0).as_deref(), Some("unmoved"));
     assert_eq!(status(&report, 1).as_deref(), Some("reference"));
-    // The rotated picture shows another scene.
+    // A rotated picture looks like a picture of another scene.
     let other = image::imageops::rotate180(&crate::support::small(4));
     folder.put("w4.jpg", &crate::support::jpeg(&other, Some(4)));
     let report = written(&folder, "align w2.jpg w3.jpg w4.jpg --reference 2");

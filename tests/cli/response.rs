@@ -1,4 +1,4 @@
-//! `response`, response files and exposures: EXIF, estimates from the pixels, and which of them is used.
+//! `response`, response files, and exposures: whether those of EXIF or estimates from the pixels are used.
 
 use crate::support::{FRAMES, Folder, small, small_jpeg, window};
 use serde_json::Value;
@@ -8,7 +8,7 @@ fn json(text: &str) -> Value {
     serde_json::from_str(text).unwrap_or_else(|e| panic!("{e}: {text}"))
 }
 
-/// Two brackets, each in its own folder.
+/// Creates two brackets, each in its own folder.
 fn two_brackets() -> Folder {
     let folder = Folder::empty();
     for name in ["night", "church"] {
@@ -40,7 +40,7 @@ fn folders_are_brackets_and_all_requested_files_are_written() {
     assert!(svg.contains("code value") && svg.contains("2 brackets"));
     let plot = image::open(folder.at("c.png")).expect("a picture");
     assert!(plot.width() > 800);
-    // hdrgen's format: a degree and one more coefficient than it, three times.
+    // The format of hdrgen has a line for each channel: a degree n and n + 1 coefficients.
     let rsp = String::from_utf8(folder.bytes("c.rsp")).expect("text");
     for line in rsp.lines() {
         let numbers: Vec<f64> = line.split(' ').map(|w| w.parse().expect("a number")).collect();
@@ -97,7 +97,7 @@ fn failed_calibrations_leave_no_files() {
     refused("response night -o c.txt", 2, ".json, .rsp, .csv");
     refused("response night -o c.json --plot c.pdf", 2, ".svg, .png");
     refused("response night church --leave-out nobody.jpg -o c.json", 2, "is in no bracket");
-    // Equal exposures of one scene do not determine a response.
+    // Frames with equal pixels of one colour do not determine a response.
     fs::create_dir(folder.at("night/flat")).expect("a folder");
     for name in ["a", "b"] {
         image::RgbImage::from_pixel(64, 48, image::Rgb([90, 90, 90]))
@@ -127,7 +127,7 @@ fn invalid_response_file_is_named_with_the_remedy() {
 fn unusable_response_file_is_an_error_before_any_work() {
     let folder = Folder::with_bracket();
     folder.put("bad.json", b"{}");
-    // The photographs, one of which is missing, were not read.
+    // The response file is read before the photographs: that one of them is missing was not noticed.
     for file in ["bad.json", "none.json"] {
         let run = folder.line(&format!("merge w2.jpg gone.jpg --response {file} -o a.hdr"));
         assert!(run.code == 1 && run.stderr.contains(file) && !run.stderr.contains("gone.jpg"), "{run:?}");
@@ -149,7 +149,7 @@ fn the_curve_of_another_camera_is_used_with_a_warning() {
     let run = folder.line(&format!("{merge} --response other.json --strict"));
     let said = ["warning: other.json", "Acme One", saved["camera_model"].as_str().unwrap_or("?")];
     assert!(run.code == 3 && said.iter().all(|words| run.stderr.contains(words)), "{run:?}");
-    // A file without camera is accepted.
+    // A response file that names no camera is accepted.
     (other["camera_make"], other["camera_model"]) = (Value::Null, Value::Null);
     folder.put("nobody.json", other.to_string().as_bytes());
     folder.line(&format!("{merge} --response nobody.json --strict")).done();
@@ -172,7 +172,8 @@ fn exposures_given_in_the_wrong_order_are_used_with_a_warning() {
 #[test]
 fn wrong_exposure_is_corrected_and_reported() {
     let folder = Folder::empty();
-    // PNG has no EXIF here: the exposures are estimated, and then corrected. JPEGs keep theirs, which are exact.
+    // These PNGs have no EXIF, so their exposures are estimated, and then corrected. JPEGs have EXIF with exact
+    // exposures.
     for i in 1..=FRAMES {
         folder.put(&format!("{i}.jpg"), &fs::read(window(i)).expect("a frame"));
         small(i).save(folder.at(format!("{i}.png"))).expect("a picture");
@@ -190,7 +191,7 @@ fn wrong_exposure_is_corrected_and_reported() {
     let guessed = frames("merge 1.png 2.png 3.png 4.png 5.png --exposures as-given -o b.hdr --json");
     let tuned = frames("merge 1.png 2.png 3.png 4.png 5.png -o c.hdr --json");
     assert!(guessed.iter().all(|(_, correction)| *correction == 0.0));
-    // Steps of exactly two stops: their largest difference.
+    // The true steps are exactly two stops. Returns the largest relative difference of a step from the mean step.
     let uneven = |frames: &[(f64, f64)]| {
         let steps: Vec<f64> = frames.windows(2).map(|w| w[1].0 - w[0].0).collect();
         let mean = steps.iter().sum::<f64>() / steps.len() as f64;
@@ -202,14 +203,14 @@ fn wrong_exposure_is_corrected_and_reported() {
     }
 }
 
-/// Using the response of another camera gives a warning.
+/// A response file of another camera gives a warning.
 #[test]
 fn response_that_contradicts_the_frames_is_a_warning() {
     let folder = Folder::with_bracket();
     let merge = "merge w1.jpg w2.jpg w3.jpg w4.jpg w5.jpg --align none --exposures as-given --json --force -o a.exr";
     let report = |options: &str| json(&folder.line(&format!("{merge} {options}")).done().stdout);
     let said = |report: &Value| report["warnings"].to_string();
-    // Merging with the curve that was recovered from the same frames and saved gives no warning.
+    // The curve that was recovered from the same frames and saved gives no warning.
     report("--save-response own.json");
     assert!(!said(&report("--response own.json")).contains("contradict"));
     // A linear curve is not that of this camera.
@@ -220,8 +221,8 @@ fn response_that_contradicts_the_frames_is_a_warning() {
     assert_eq!(strict.code, 3, "{}", strict.stderr);
 }
 
-/// Dark codes have very small weights and are many: the errors of a polynomial there are in the radiance, although
-/// not in the residual of the curve.
+/// Many pixels have dark code values, which have very small weights in the fit: the errors of a polynomial there affect
+/// the radiance, but hardly the residual of the curve.
 #[test]
 fn reported_loss_of_a_polynomial_is_the_error_of_the_radiance() {
     let folder = Folder::with_bracket();
@@ -246,8 +247,8 @@ fn reported_loss_of_a_polynomial_is_the_error_of_the_radiance() {
             (squares / own.pixels.as_slice().len() as f64).sqrt()
         };
         let luminance = |p: &[f32; 3]| f64::from(0.2126 * p[0] + 0.7152 * p[1] + 0.0722 * p[2]);
-        // Of 16384 pixels; a few per cent of them dominate the sum of squares: accurate to some per cent, plus the
-        // rounding to two decimals.
+        // The reported loss is from 16384 pixels, of which a few per cent dominate the sum of squares: it is accurate
+        // to some per cent, in addition to the rounding to two decimals.
         for (after, is) in [("is off by ", off(&luminance)), ("blue ", off(&|p| f64::from(p[2])))] {
             assert!(
                 (number(after) - is).abs() < 0.1 * is + 0.005,

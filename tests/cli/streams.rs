@@ -1,4 +1,4 @@
-//! stdout has only results; stderr everything else, and with `-q` only errors.
+//! stdout contains only results; stderr contains everything else, and with `-q` only errors.
 
 use crate::support::Folder;
 use serde_json::Value;
@@ -21,7 +21,7 @@ fn json_option_prints_only_json() {
     let folder = Folder::with_bracket();
     for command in ["align", "merge -o a.exr"] {
         let run = folder.line(&format!("{command} w2.jpg w3.jpg w4.jpg --json")).done();
-        // A single value, to the last byte: anything before or after it is a parser error.
+        // The whole of stdout is a single JSON value: anything before or after it would be a parser error.
         let json: Value =
             serde_json::from_str(&run.stdout).unwrap_or_else(|e| panic!("{command}: {e}\n{}", run.stdout));
         assert_eq!(json["schema"], "hdralign-report/1");
@@ -54,14 +54,15 @@ fn no_bar_is_drawn_without_a_terminal() {
 #[test]
 fn six_lines_sum_up_and_a_file_gets_no_control_characters() {
     let folder = Folder::with_bracket();
-    // Frames without alignment seem to move, which is reported on another line.
+    // Deghosting is off, because frames without alignment would seem to contain movement, which has another line.
     let run = folder.line("merge w2.jpg w3.jpg w4.jpg --align none --deghost=off -o a.exr -o a.png").done();
     let lines: Vec<&str> = run.stderr.lines().collect();
     let labels: Vec<&str> = lines.iter().rev().take(6).rev().map(|l| &l[..11]).collect();
     assert_eq!(labels, ["merged     ", "aligned    ", "frames     ", "range      ", "files      ", "time       "]);
     assert!(run.stderr.contains("3 frames, 300 x 200 pixels") && run.stderr.contains("a.exr, a.png"), "{}", run.stderr);
     assert!(run.stderr.contains(", the result "), "{}", run.stderr);
-    // A warning, a line for each frame, an error: all of it is printed, each on one line, for grep.
+    // stderr is a file: warnings, lines for frames and errors have no control characters, and each is on one line, for
+    // grep.
     for line in
         ["merge w2.jpg w3.jpg w4.jpg -e=2,0,-2 -v --force -o a.exr", "align w2.jpg gone.jpg", "compare a.exr a.exr -v"]
     {
@@ -103,6 +104,6 @@ fn help_and_version_are_results() {
     for command in ["merge", "batch", "tonemap", "compare"] {
         let help = folder.line(&format!("{command} --help")).stdout;
         let words = help.split_whitespace().collect::<Vec<_>>().join(" ");
-        assert!(words.contains("results are still listed on stdout"), "{command}");
+        assert!(words.contains("names of the files written"), "{command}");
     }
 }

@@ -23,7 +23,8 @@ fn floats_give_the_picture_that_merge_gave_to_the_code() {
         folder.line(&format!("{MERGE} {options} -o {file} -o merged.png --force")).done();
         let run = folder.line(&format!("tonemap {file} -o again.png --force")).done();
         assert_eq!(run.stdout, "again.png\n");
-        // The radiance map has only the most important capture data, so the bytes of the picture differ.
+        // Only pixels are compared: the radiance map has only the most important capture data, so the bytes of the
+        // files differ.
         let codes = |name: &str| image::open(folder.at(name)).expect("a picture").to_rgb8();
         assert!(codes("merged.png") == codes("again.png"), "{file} {options}");
     }
@@ -35,7 +36,8 @@ fn every_format_gives_nearly_the_same_picture() {
     folder.line(&format!("{MERGE} -o a.exr -o a.png --exr-type float")).done();
     let picture = |name: &str| image::open(folder.at(name)).expect("a picture").to_rgb8();
     let expected = picture("a.png");
-    // The coarsest step is 1.1 % of luminance and 0.0035 in u' and v': some codes in dark, saturated parts.
+    // The coarsest encoding, LogLuv24, has steps of 1.1 % of luminance and 0.0035 in u' and v': some code values in
+    // dark, saturated parts.
     for (file, options, most) in [
         ("h.exr", "--exr-type half", 1),
         ("r.hdr", "", 3),
@@ -76,7 +78,7 @@ fn files_without_radiance_are_rejected_with_the_remedy() {
     let before = folder.listing();
     refused(folder.line("tonemap w1.jpg -o x.png"), 1, "hdralign merge");
     refused(folder.line("tonemap gone.exr"), 1, "gone.exr");
-    // The default name of the result would be the same, but the error must be about the input.
+    // The default name of the result would be that of the input, but the error must be about the content of the input.
     folder.put("photo.png", b"\x89PNG\r\n\x1a\n and so on");
     refused(folder.line("tonemap photo.png"), 1, "photo.png: is a PNG picture, not a radiance map");
     std::fs::remove_file(folder.at("photo.png")).unwrap();
@@ -90,7 +92,7 @@ fn files_without_radiance_are_rejected_with_the_remedy() {
     assert_eq!(folder.listing(), before, "nothing is left behind");
 }
 
-/// A map of another program: NaN, infinity and a colour outside of sRGB.
+/// A map of another program contains NaN, infinity and a colour outside of sRGB.
 #[test]
 fn invalid_values_are_reported_and_the_others_shown() {
     let folder = Folder::empty();
@@ -104,7 +106,7 @@ fn invalid_values_are_reported_and_the_others_shown() {
     });
     use exr::prelude::WritableImage;
     exr::prelude::Image::from_channels((8, 8), layer).write().to_file(folder.at("odd.exr")).unwrap();
-    // With a global curve, so that equal values stay equal.
+    // reinhard02 applies one curve to all pixels, so that equal values stay equal.
     let run = folder.line("tonemap odd.exr --tmo reinhard02 --json").done();
     let json: Value = serde_json::from_str(&run.stdout).unwrap();
     let counts = ["not_number_pixels", "infinite_pixels", "negative_pixels"].map(|key| json[key].clone());
@@ -112,9 +114,9 @@ fn invalid_values_are_reported_and_the_others_shown() {
     assert_eq!(run.stderr.matches("warning: odd.exr: 1 pixels").count(), 3, "{}", run.stderr);
     let picture = image::open(folder.at("odd.png")).unwrap().to_rgb8();
     assert_eq!(picture.get_pixel(0, 0).0, [0; 3]);
-    // The brightest other pixel is the grey around it.
+    // The infinite value is shown as the largest finite value, which is the grey around it.
     assert!(picture.get_pixel(5, 5).0 != [0; 3] && picture.get_pixel(1, 0) == picture.get_pixel(5, 5));
-    // [`read`] returns the values of the file.
+    // `read` returns the values as they are in the file.
     assert!(read(&folder.at("odd.exr")).unwrap().0.pixels.at(0, 0)[0].is_nan());
 }
 
@@ -136,7 +138,10 @@ fn every_operator_has_its_look_and_its_settings() {
         assert!(help.code == 0 && help.stdout.contains(name) && help.stdout.contains("saturation="), "{help:?}");
         refused(folder.line(&format!("tonemap room.exr --tmo {name} --tmo-set colour=1")), 2, "has no `colour`");
     }
-    // Neither a radiance map nor photographs are needed for that.
+    // Fusion needs the frames: it is not listed, but refused with a reason.
+    assert!(!folder.line("tonemap -h").done().stdout.contains("mertens"));
+    refused(folder.line("tonemap room.exr --tmo mertens -o fused.png"), 2, "hdralign merge --tmo mertens");
+    // Neither a radiance map nor photographs are needed to list the parameters.
     let help = folder.line("tonemap room.exr --tmo drago --tmo-set help").done();
     for line in
         ["tonemap --tmo drago --tmo-set help", "merge --tmo-set help --tmo drago", "batch --tmo=drago --tmo-set=help"]
@@ -158,7 +163,7 @@ fn fusion_is_of_the_frames_and_needs_room() {
     assert!(run.stderr.contains("--flare acts on the radiance"), "{}", run.stderr);
     folder.line("tonemap room.exr -o toned.png -q").done();
     assert!(folder.bytes("fused.png") != folder.bytes("toned.png"));
-    // 48 bytes per pixel, 72 MB: more than the smallest allowed limit.
+    // Fusion of these frames needs 48 bytes per pixel, 72 MB, which is more than the smallest allowed limit.
     for i in 2..=3 {
         image::imageops::resize(&small(i), 1500, 1000, FilterType::Nearest)
             .save(folder.at(format!("large{i}.png")))

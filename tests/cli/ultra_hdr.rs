@@ -1,4 +1,5 @@
-//! `.jpg`: a JPEG with a gain map, read by the rules of viewers (libultrahdr's reader; ISO 21496-1, annex C; DC-007).
+//! `.jpg`: a JPEG with a gain map, read by the rules of viewers (the reader of libultrahdr; ISO 21496-1, annex C; CIPA
+//! DC-007).
 
 use crate::support::{Folder, jpeg_with, ratio, small};
 use exif::{In, Tag, Value};
@@ -13,7 +14,7 @@ use image::RgbImage;
 const XMP: &[u8] = b"http://ns.adobe.com/xap/1.0/\0";
 const ISO: &[u8] = b"urn:iso:std:iso:ts:21496:-1\0";
 
-/// A JPEG: its segments before the scan, each with the offset of its content, and all its bytes.
+/// A JPEG: its segments up to the scan, each with its marker and the offset of its content, and all its bytes.
 struct Image<'a> {
     segments: Vec<(u8, usize, &'a [u8])>,
     bytes: &'a [u8],
@@ -51,12 +52,13 @@ impl<'a> Image<'a> {
         Image { segments, bytes: &file[..at + 2] }
     }
 
-    /// The content of the only segment `code` that begins with `name`, without the name.
+    /// Returns the content after `name` of the only segment with the marker `code` that begins with `name`.
     fn named(&self, code: u8, name: &[u8]) -> &'a [u8] {
         self.find(code, name).unwrap_or_else(|| panic!("no {}", String::from_utf8_lossy(name))).1
     }
 
-    /// The same, with the offset of what follows the name.
+    /// Returns the content after `name` and its offset, of the only segment with the marker `code` that begins with
+    /// `name`.
     fn find(&self, code: u8, name: &[u8]) -> Option<(usize, &'a [u8])> {
         let all: Vec<_> = self.segments.iter().filter(|s| s.0 == code && s.2.starts_with(name)).collect();
         assert!(all.len() < 2, "one {}", String::from_utf8_lossy(name));
@@ -72,7 +74,7 @@ impl<'a> Image<'a> {
     }
 }
 
-/// The value of the attribute `name`, which must occur once.
+/// Returns the value of the attribute `name`, which must occur once.
 fn attribute<'a>(xml: &'a str, name: &str) -> &'a str {
     let parts: Vec<&str> = xml.split(&format!(" {name}=\"")).collect();
     assert_eq!(parts.len(), 2, "{name} in {xml}");
@@ -87,7 +89,7 @@ fn be32(bytes: &[u8]) -> usize {
     u32::from_be_bytes(bytes[..4].try_into().expect("four bytes")) as usize
 }
 
-/// The contents of the file for a reader.
+/// The contents of a file as a reader of gain maps sees them.
 struct UltraHdr {
     base: RgbImage,
     map: RgbImage,
@@ -102,7 +104,7 @@ impl UltraHdr {
         let second = Image::parse(&file[first.bytes.len()..]);
         assert_eq!(first.bytes.len() + second.bytes.len(), file.len(), "nothing between and behind");
 
-        // GContainer: the length is that of the second image, which ends the file.
+        // GContainer: the length is that of the second image, which is the end of the file.
         let xmp = first.xmp();
         assert_eq!(attribute(xmp, "hdrgm:Version"), "1.0");
         assert_eq!(number(xmp, "Item:Length") as usize, second.bytes.len());
@@ -112,7 +114,7 @@ impl UltraHdr {
             assert!(item.starts_with(&format!("Item:Semantic=\"{semantic}\" Item:Mime=\"image/jpeg\"")), "{item}");
         }
 
-        // MPF: offsets are relative to the byte order mark; the first is 0 by the standard.
+        // MPF: offsets are relative to the byte order mark; that of the first image is 0 by the standard.
         let (mark, mpf) = first.find(0xE2, b"MPF\0").expect("an index");
         assert_eq!(mpf[..10], *b"MM\0*\0\0\0\x08\0\x03");
         let tags: Vec<u16> = (0..3).map(|i| u16::from_be_bytes([mpf[10 + 12 * i], mpf[11 + 12 * i]])).collect();
@@ -124,7 +126,8 @@ impl UltraHdr {
         assert_eq!((be32(&entries[16..]), be32(&entries[20..])), (0, second.bytes.len()));
         assert_eq!(mark + be32(&entries[24..]), first.bytes.len());
 
-        // ISO 21496-1: the version in the first image, all parameters in the second, equal to those of its XMP.
+        // ISO 21496-1: the first image has the version, and the second all parameters, which are equal to those in its
+        // XMP.
         assert_eq!(first.named(0xE2, ISO), [0; 4]);
         let iso = second.named(0xE2, ISO);
         assert_eq!(
@@ -152,8 +155,8 @@ impl UltraHdr {
         UltraHdr { base, map, least, most, offset }
     }
 
-    /// Returns the HDR rendition of a channel of a pixel, relative to white (ISO 21496-1, 6.2), and the code that it
-    /// is made from.
+    /// Returns the HDR rendition of a channel of a pixel, relative to white (ISO 21496-1, 6.2), and the code value of
+    /// the base image.
     fn light(&self, x: u32, y: u32, c: usize) -> (f64, u8) {
         let code = self.base.get_pixel(x, y).0[c];
         let gain = f64::from(self.map.get_pixel(x, y).0[c]) / 255.0;
@@ -163,8 +166,8 @@ impl UltraHdr {
     }
 }
 
-/// Returns the fraction of the channels with a reliable code and a gain in range that the map restores within 0.1
-/// stop.
+/// Returns the share of the values that the gain map restores within 0.1 stop, of those with a reliable code value and
+/// a gain within the range of the map.
 fn share_within(hdr: &UltraHdr, map: &RadianceMap) -> f64 {
     let mut ratios = Vec::new();
     let mut reported = Vec::new();
@@ -195,7 +198,8 @@ fn share_within(hdr: &UltraHdr, map: &RadianceMap) -> f64 {
     within / all
 }
 
-/// Nine stops, tinted, with lamps and fine texture; odd sides, several strips.
+/// Returns a tinted scene of nine stops, with lamps and fine texture; its sides are odd, and it has several strips of
+/// rows.
 fn lamps() -> RadianceMap {
     let (width, height) = (333, 64 * 3 + 21);
     let pixels = Plane::from_rows(width, height, |y, row| {
@@ -228,7 +232,7 @@ fn the_map_gives_the_radiance_back() {
     let share = share_within(&hdr, &map);
     assert!(share > 0.97, "{share}");
 
-    // In Display P3 the map is also in Display P3, and its profile states it.
+    // If the picture is in Display P3, the gain map is also for Display P3, as its profile states.
     folder.line("tonemap lamps.exr -o p3.jpg --picture-colour display-p3 -q").done();
     let bytes = folder.bytes("p3.jpg");
     let wide = UltraHdr::parse(&bytes);
@@ -237,7 +241,7 @@ fn the_map_gives_the_radiance_back() {
     let of_p3 = Plane::from_vec(map.pixels.width(), map.pixels.height(), pixels);
     let share = share_within(&wide, &RadianceMap { pixels: of_p3, primaries: Primaries::DISPLAY_P3 });
     assert!(share > 0.97, "{share}");
-    // Codes in sRGB with this map would be wrong.
+    // Compared with the radiance in sRGB, the result would be wrong.
     assert!(share_within(&wide, &map) < 0.9);
     let profile = Image::parse(&bytes).named(0xE2, b"ICC_PROFILE\0\x01\x01").to_vec();
     let Found::Rgb(profile) = Profile::parse(profile) else { panic!("no profile") };
@@ -266,8 +270,8 @@ fn gain_map_of_a_merge_is_valid_and_the_file_reads_as_a_photograph() {
     let (map, _) = read(&folder.at("a.exr")).expect("an EXR");
     let share = share_within(&hdr, &map);
     assert!(share > 0.97, "{share}");
-    // The picture is that of the PNG, except for the losses of JPEG: steps of 2 to 14 at this quality, so the mean
-    // error is below 3.5 even with all frequencies.
+    // The picture is that of the PNG, except for the losses of JPEG. Its quantisation steps are 2 to 14 at this
+    // quality, so the mean error is below 3.5 even if all frequencies are present.
     let png = image::open(folder.at("a.png")).expect("a PNG").to_rgb8();
     let mean = png.as_raw().iter().zip(hdr.base.as_raw()).map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>()
         / png.as_raw().len() as f64;
@@ -277,7 +281,7 @@ fn gain_map_of_a_merge_is_valid_and_the_file_reads_as_a_photograph() {
         Image::parse(&folder.bytes("q.jpg")).bytes.len()
     };
     assert!(quality(40) * 2 < quality(95));
-    // A frame of another bracket, from a phone, by another program.
+    // The same file with another program's name is a photograph, as from a phone.
     let mut phone = bytes;
     while let Some(at) = phone.windows(9).position(|name| name == b"hdralign ") {
         phone[at..at + 9].copy_from_slice(b"darkroom ");
@@ -286,8 +290,8 @@ fn gain_map_of_a_merge_is_valid_and_the_file_reads_as_a_photograph() {
     folder.line("merge phone.jpg w1.jpg -e=0,-2 --align none --crop none -o again.exr -q").done();
 }
 
-/// A photograph with EXIF of all kinds: fields that are valid for the result are kept, and the location only on
-/// request.
+/// The photographs have EXIF of all kinds: fields that are valid for the result are kept; the location is kept only
+/// with `--keep-gps`.
 #[test]
 fn exif_is_carried_over_and_put_right() {
     let folder = Folder::with_bracket();
@@ -327,7 +331,7 @@ fn exif_is_carried_over_and_put_right() {
         ] {
             assert_eq!(shown(tag), Some(value), "{name} {tag}");
         }
-        // A TIFF has its size elsewhere (EXIF 2.32, table 17).
+        // A TIFF has its size in other tags (EXIF 2.32, table 17).
         let sizes = [(Tag::PixelXDimension, width), (Tag::PixelYDimension, height)];
         let expected = |side: u32| (name != "r.tif").then(|| side.to_string());
         assert!(sizes.into_iter().all(|(tag, side)| shown(tag) == expected(side)), "{name}");

@@ -1,4 +1,4 @@
-//! Units and colour spaces of the files that `merge` writes, through the program.
+//! Units and colour spaces of the files that `merge` writes, tested with the program.
 
 use crate::support::{FRAMES, Folder, jpeg_with, ratio, small};
 use exif::{Tag, Value as Exif};
@@ -33,7 +33,8 @@ fn a_factor_makes_cd_m2_in_every_format() {
     assert_eq!(map("a.tif").1.cd_m2_per_unit, Some(Factor::ONE));
     assert!(map("a.tif").0.pixels == radiance.pixels);
     let luminance = |p: [f32; 3]| f64::from(0.2126 * p[0] + 0.7152 * p[1] + 0.0722 * p[2]);
-    // A mantissa is truncated to 1/128 of the largest at most: its middle is wrong by half of that.
+    // A mantissa is truncated by at most 1/128 of the largest channel; the middle of its step is wrong by at most half
+    // of that.
     let watts = map("a.hdr").0;
     for (cd, w) in radiance.pixels.as_slice().iter().zip(watts.pixels.as_slice()) {
         assert!((179.0 * luminance(*w) / luminance(*cd) - 1.0).abs() < 0.02, "{cd:?} {w:?}");
@@ -60,13 +61,13 @@ fn absolute_luminance_is_computed_from_exif() {
     let per_unit = |json: &Value| json["calibration"]["cd_m2_per_unit"].as_f64().unwrap();
     assert!((per_unit(&corrected) / per_unit(&json) - 1.1).abs() < 1e-9);
 
-    // PNG has no EXIF.
+    // These PNGs have no EXIF.
     for i in 1..=FRAMES {
         small(i).save(folder.at(format!("p{i}.png"))).unwrap();
     }
     let run = folder.line("merge -e=-2,0,2 p2.png p3.png p4.png --absolute -o b.exr");
     assert!(run.code == 2 && run.stderr.contains("the EXIF has no exposure time and f-number and ISO"), "{run:?}");
-    // Before alignment, which would fail because the rotated picture shows another scene.
+    // The error is reported before alignment, which would fail because the rotated picture looks like another scene.
     image::imageops::rotate180(&small(3)).save(folder.at("turned.png")).unwrap();
     let run = folder.line("merge -e=-2,0 p2.png turned.png --absolute -o b.exr");
     assert!(run.code == 2 && run.stderr.contains("--absolute"), "{run:?}");
@@ -75,8 +76,8 @@ fn absolute_luminance_is_computed_from_exif() {
     assert!(!folder.at("b.exr").exists());
 }
 
-/// A camera records 1/30 s for 1/32 s, and its shutter has an error of a tenth of a stop: the brightness of the scene
-/// is the same for any reference.
+/// A camera records 1/30 s for 1/32 s, or its shutter has an error of a tenth of a stop: the luminance of the scene is
+/// the same for any reference.
 #[test]
 fn luminance_is_the_same_whichever_frame_is_the_reference() {
     let folder = Folder::empty();
@@ -88,7 +89,8 @@ fn luminance_is_the_same_whichever_frame_is_the_reference() {
         ];
         folder.put(name, &jpeg_with(&small(i), &exif));
     };
-    // Recorded numbers for 1/128, 1/32 and 1/8 s; and measured ones, of which the middle one is wrong.
+    // The times are 1/`printed` s, as cameras record 1/128, 1/32 and 1/8 s, or 1000/`measured` s, of which the middle
+    // one is wrong: 1/34.3 s for 1/32 s.
     for (i, printed, measured) in [(2, 125, 128_000), (3, 30, 34_300), (4, 8, 8_000)] {
         shot(&format!("printed{i}.jpg"), i, 1, printed);
         shot(&format!("measured{i}.jpg"), i, 1000, measured);
@@ -150,7 +152,7 @@ fn other_colour_spaces_have_the_same_light_and_their_primaries() {
         assert!((id.is_empty() || has(id)) && has("chromaticities"), "{name}");
         let header = String::from_utf8_lossy(&folder.bytes("c.hdr")[..600]).into_owned();
         assert!(header.contains(&format!("PRIMARIES= {:.4} {:.4}", primaries.red[0], primaries.red[1])), "{header}");
-        // The picture is sRGB for any colour space of the radiance.
+        // The picture is in sRGB whatever the colour space of the radiance is.
         let picture = |name: &str| image::open(folder.at(name)).unwrap().to_rgb8();
         let (kept, converted) = (picture("keep.png"), picture("c.png"));
         let far = kept.as_raw().iter().zip(converted.as_raw()).filter(|(a, b)| a.abs_diff(**b) > 1);

@@ -23,7 +23,7 @@ fn truth() -> Value {
     serde_json::from_slice(&fs::read(file("truth.json")).expect("truth.json")).expect("JSON")
 }
 
-/// The true homography of the photograph `name`.
+/// Returns the true homography of the photograph `name`.
 fn true_homography(name: &str) -> Matrix {
     let truth = truth();
     let frames = truth["frames"].as_array().expect("frames");
@@ -46,7 +46,8 @@ fn merged(mode: AlignMode) -> Outcome {
     pipeline::develop(&images, &options, &pipeline::unwatched).expect("a merge")
 }
 
-/// Default options, except for the reference, which is that of the truth, and no crop; computed once.
+/// Returns the result with default options, except for the reference, which is that of the truth, and without crop; it
+/// is computed once.
 fn by_default() -> &'static Outcome {
     static OUTCOME: OnceLock<Outcome> = OnceLock::new();
     OUTCOME.get_or_init(|| merged(AlignMode::Auto))
@@ -61,18 +62,19 @@ fn apply(m: &Matrix, x: f64, y: f64) -> [f64; 2] {
 #[derive(Debug)]
 struct Misplaced {
     name: String,
-    /// Mean and root mean square over a grid that includes the borders.
+    /// Mean error over a grid that includes the borders.
     mean: f64,
+    /// Root mean square error over that grid.
     rms: f64,
-    /// At the worst corner.
+    /// Error at the corner where it is largest.
     corner: f64,
-    /// At the centre.
+    /// Error at the centre.
     centre: f64,
-    /// The error that the program reports.
+    /// The root mean square error that the program reports.
     stated: Option<f64>,
 }
 
-/// All frames except the reference.
+/// Returns the alignment errors of all frames except the reference.
 fn misplaced(outcome: &Outcome) -> Vec<Misplaced> {
     let mut found = Vec::new();
     for frame in &outcome.report.frames {
@@ -110,10 +112,10 @@ fn misplaced(outcome: &Outcome) -> Vec<Misplaced> {
     found
 }
 
-/// Measured: means of 0.037, 0.019, 0.019 and 0.034 px. The limit of 0.06 allows for another tuning of the search,
-/// but not for a missing refinement: bitmaps alone have errors over 1 px here, features alone 0.15 to 0.24 px.
-/// Corners are extrapolated from the tiles inside, with errors up to 0.15 px; a homography with a wrong centre of
-/// rotation has larger errors there.
+/// Measured: mean errors of 0.037, 0.019, 0.019 and 0.034 px. The limit of 0.06 px allows for another tuning of the
+/// search, but not for a missing refinement: bitmaps alone have errors above 1 px here, features alone 0.15 to 0.24 px.
+/// Corners are extrapolated from the tiles inside, with measured errors up to 0.15 px; a homography with a wrong centre
+/// of rotation would have errors above the limit of 0.25 px there.
 #[test]
 fn every_frame_is_placed_to_well_under_a_tenth_of_a_pixel() {
     for frame in misplaced(by_default()) {
@@ -121,8 +123,9 @@ fn every_frame_is_placed_to_well_under_a_tenth_of_a_pixel() {
     }
 }
 
-/// Measured: the true rms over the picture is 0.7 to 1.0 of the reported one. Reporting too little would mislead, so
-/// the factor is 1.5; reporting too much only makes users check a good picture: 3.
+/// Measured: the true rms error over the picture is 0.7 to 1.0 of the reported error. A reported error that is too
+/// small misleads users, so the true error may be at most 1.5 times the reported one. A reported error that is too
+/// large only makes users check a good picture, so it may be up to 3 times the true one.
 #[test]
 fn the_stated_error_is_honest() {
     for frame in misplaced(by_default()) {
@@ -131,9 +134,9 @@ fn the_stated_error_is_honest() {
     }
 }
 
-/// Shift and rotation cannot represent the perspective, which is 5 to 10 px at these corners; at the centre they are
-/// the best compromise, searched in whole pixels. Measured: 0.44 to 0.74 px; half a pixel in both directions is 0.71,
-/// and the rest is the compromise.
+/// Shift and rotation cannot represent the perspective, which moves the corners by 5 to 10 px, so the bitmaps find a
+/// compromise, in whole pixels. Measured: errors of 0.44 to 0.74 px at the centre. Half a pixel in both directions is
+/// 0.71 px; the limit of 1.2 px leaves 0.5 px for the compromise.
 #[test]
 fn bitmaps_alone_find_the_centre() {
     for frame in misplaced(&merged(AlignMode::Mtb)) {
@@ -141,7 +144,7 @@ fn bitmaps_alone_find_the_centre() {
     }
 }
 
-/// Measured: means of 0.16 to 0.24 px, without the refinement on the pixels that `auto` adds.
+/// Measured: mean errors of 0.16 to 0.24 px, because `sift` has no refinement on the pixels, unlike `auto`.
 #[test]
 fn features_alone_find_the_whole_picture() {
     for frame in misplaced(&merged(AlignMode::Sift)) {
@@ -149,14 +152,14 @@ fn features_alone_find_the_whole_picture() {
     }
 }
 
-/// `truth.hdr`, by rows.
+/// Returns the pixels of `truth.hdr` by rows.
 fn true_radiance() -> Vec<[f32; 3]> {
     let picture = image::open(file("truth.hdr")).expect("truth.hdr").to_rgb32f();
     assert_eq!((picture.width() as usize, picture.height() as usize), (WIDTH / QUARTER, HEIGHT / QUARTER));
     picture.pixels().map(|p| p.0).collect()
 }
 
-/// Base-2 logarithms of our radiance relative to the truth, for luminances of 4 x 4 pixels that are well exposed in
+/// Returns log2 of the ratio of our luminance to the true one, for each block of 4 x 4 pixels that is well exposed in
 /// some frame.
 fn stops_off() -> Vec<f64> {
     let pixels = &by_default().radiance.pixels;
@@ -166,13 +169,13 @@ fn stops_off() -> Vec<f64> {
     let mut stops = Vec::new();
     for (k, wanted) in true_radiance().iter().enumerate() {
         let (x, y) = (k % (WIDTH / QUARTER), k / (WIDTH / QUARTER));
-        // Some frames do not cover the two blocks at the border.
+        // Some frames do not cover the 8 blocks nearest to the border.
         if x < 8 || y < 8 || x + 8 >= WIDTH / QUARTER || y + 8 >= HEIGHT / QUARTER {
             continue;
         }
         let wanted = wanted.map(f64::from);
-        // Between a fiftieth of the range of the longest exposure and most of that of the shortest, some frame is
-        // well exposed.
+        // A block is well exposed in some frame if it has at least 2 % of saturation in the longest exposure (1/2 s)
+        // and at most 80 % in the shortest (1/512 s).
         let exposure = |seconds: f64| wanted.map(|l| l * seconds / saturation);
         if exposure(0.5).iter().any(|&x| x < 0.02) || exposure(1.0 / 512.0).iter().any(|&x| x > 0.8) {
             continue;
@@ -189,9 +192,9 @@ fn stops_off() -> Vec<f64> {
     stops
 }
 
-/// Measured: 0.0159 stops rms over 48 981 blocks, 1 % of them beyond -0.043 and 1 % beyond 0.047. 0.03 is nearly
-/// twice that, to allow for other noise and another tuning of the response; it is three times stricter than the
-/// required 0.1 stops.
+/// Measured: an rms error of 0.0159 stops over 48 981 blocks, 1 % of them below -0.043 and 1 % above 0.047 stops. The
+/// limit of 0.03 stops is nearly twice the measured error, to allow for other noise and another tuning of the response;
+/// it is three times stricter than the required 0.1 stops.
 #[test]
 fn radiance_is_the_truth_but_for_one_scale() {
     let mut stops = stops_off();

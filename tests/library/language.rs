@@ -6,7 +6,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Word or phrase in lower case, and the plain one.
+/// Words and phrases to avoid, in lower case, each with the plain replacement.
 const INSTEAD: [(&str, &str); 46] = [
     ("afresh", "again"),
     ("aloud", "with a warning"),
@@ -66,7 +66,7 @@ fn walk(folder: &Path, extensions: &[&str], found: &mut Vec<PathBuf>) {
     }
 }
 
-/// The words of `text` in lower case, with single spaces between and around them. Underscores separate words.
+/// Returns the words of `text` in lower case, with single spaces between and around them. Underscores separate words.
 fn words(text: &str) -> String {
     let mut words = String::from(" ");
     for word in text.split(|c: char| !c.is_alphanumeric() && c != '\'').filter(|word| !word.is_empty()) {
@@ -75,7 +75,7 @@ fn words(text: &str) -> String {
     words
 }
 
-/// The findings in `text`, each with its number of line.
+/// Returns the line number, the word and its replacement for each finding in `text`.
 fn findings(text: &str) -> Vec<(usize, &'static str, &'static str)> {
     let mut found = Vec::new();
     for (number, line) in text.lines().enumerate().filter(|(_, line)| !line.contains("plain-english: allow")) {
@@ -98,7 +98,7 @@ fn sources_and_documents_use_plain_words() {
     walk(&root.join("fuzz/fuzz_targets"), &["rs"], &mut files);
     walk(&root.join("fuzz/src"), &["rs"], &mut files);
     walk(&root.join("tests"), &["rs"], &mut files);
-    // The list itself.
+    // This file contains the list itself.
     files.retain(|file| !file.ends_with("tests/library/language.rs"));
     assert!(files.len() > 300, "only {} files were read", files.len());
     files.sort();

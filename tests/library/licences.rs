@@ -10,7 +10,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-/// Licences that require no more than to name the authors. deny.toml has the same list.
+/// Accepted licences: they require only that the authors are named. deny.toml has the same list.
 const FINE: [&str; 7] = ["MIT", "Apache-2.0", "BSD-2-Clause", "BSD-3-Clause", "Zlib", "Unicode-3.0", "IJG"];
 
 const PAGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/reference/licences.md");
@@ -18,18 +18,24 @@ const PAGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/reference/licences
 const BEGIN: &str = "\
 # The crates in the program, and their licences
 
-What `cargo build --release --locked` compiles into `hdralign` on 64-bit Linux, build scripts and procedural macros included; the standard library of Rust
-(MIT or Apache-2.0) and, in the static binary, that of musl (MIT) come to it. hdralign itself: MIT or Apache-2.0. Written by
-`HDRALIGN_BLESS=1 cargo test --test library licences`, which otherwise fails when it is out of date, or when a licence is not one of those in deny.toml.
+This page lists the crates that `cargo build --release --locked` compiles for `hdralign` on 64-bit Linux, including
+build scripts and procedural macros. The program also contains
 
-The program also holds a part of the font DejaVu Sans Condensed 2.37, for the text of drawings: its licence (Bitstream Vera) is in
-[src/draw/font/README.md](../../src/draw/font/README.md).
+- the standard library of Rust (MIT or Apache-2.0),
+- the library musl (MIT), only in the static binary,
+- a part of the font DejaVu Sans Condensed 2.37, for the text of drawings. Its licence (Bitstream Vera) is in
+  [src/draw/font/README.md](../../src/draw/font/README.md).
+
+hdralign itself is licensed under MIT or Apache-2.0.
+
+The test `cargo test --test library licences` fails if this page is out of date, or if a licence is not one of those in
+deny.toml. With `HDRALIGN_BLESS=1` it writes this page again.
 
 | crate | version | licence |
 |---|---|---|
 ";
 
-/// Name, version and licence of every crate that is compiled for the program, without those of tests.
+/// Returns name, version and licence of every crate that is compiled for the program, without crates for tests.
 fn crates() -> BTreeSet<[String; 3]> {
     let output = Command::new(std::env::var_os("CARGO").unwrap_or("cargo".into()))
         .args(["tree", "--locked", "--offline", "--edges", "normal,build", "--target", "x86_64-unknown-linux-gnu"])
@@ -42,7 +48,7 @@ fn crates() -> BTreeSet<[String; 3]> {
     let read = |line: &str| {
         let (package, licence) = line.trim_end_matches(" (*)").split_once(';').expect("a package and its licence");
         let (name, version) = package.trim_end_matches(" (proc-macro)").split_once(" v").expect("a version");
-        // Behind the version stands a place that is not the registry.
+        // After the version, cargo prints the source of a crate that is not from the registry.
         assert!(!version.contains(' '), "{package} is not from the registry");
         [name, version, licence].map(str::to_owned)
     };
@@ -63,8 +69,8 @@ fn zlib_rs_does_not_detect_the_cpu() {
     assert_eq!(line.trim_end_matches(" (*)").split_once(';').map(|(_, features)| features), Some("rust-allocator"));
 }
 
-/// Whether some way through the terms leads to `FINE` ones alone. Terms as crates have them: no WITH that matters, OR binds what stands
-/// in brackets, AND joins brackets.
+/// Returns whether the licence expression `terms` can be fulfilled with licences of [`FINE`]. Expects the form that
+/// crates use: alternatives separated by OR or `/`, in parentheses where such groups are joined by AND.
 fn is_fine(terms: &str) -> bool {
     terms.split(" AND ").all(|part| {
         let part = part.trim_matches(['(', ')']);
@@ -76,7 +82,7 @@ fn is_fine(terms: &str) -> bool {
 fn crates_are_listed_and_have_allowed_licences() {
     let crates = crates();
     assert!(crates.len() > 50, "{} crates: the check is blind", crates.len());
-    // Optional parts of what we build on, which we do not ask for.
+    // An optional dependency of our dependencies, which must not be compiled.
     assert!(!crates.iter().any(|[name, ..]| name == "euclid"), "{crates:?}");
     let mut page = BEGIN.to_owned();
     for [name, version, licence] in crates {

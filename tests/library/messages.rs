@@ -10,7 +10,8 @@ use std::path::Path;
 /// Smallest number of words of a text in the table; shorter ones are names, keys and labels.
 const FEWEST_WORDS: usize = 5;
 
-/// The texts of the sources, each with its file. Line breaks and indentation of the source are removed, and files in HTML, SVG or XML are left out.
+/// Returns the texts of the sources, each with its file. Line breaks and indentation of the source are removed; texts
+/// in HTML, SVG or XML are skipped.
 fn table() -> String {
     let mut lines = BTreeSet::new();
     for source in sources().iter().filter(|source| !source.path.contains("tests")) {

@@ -10,11 +10,11 @@ use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::sync::Mutex;
 
-/// The stages of a run that merges and has a page.
+/// The stages of a run that merges frames and writes a report page.
 const STAGES: [Stage; 7] =
     [Stage::Load, Stage::Align, Stage::Response, Stage::Merge, Stage::Tonemap, Stage::Inspect, Stage::Write];
 
-/// A bracket of three frames, and options for files of every kind.
+/// Returns a folder with a bracket of three frames, the frames, and options for output files of every kind.
 fn bracket() -> (Folder, Vec<PathBuf>, Options) {
     let folder = Folder::empty();
     for i in 1..=3 {

@@ -1,6 +1,7 @@
-//! Properties of any small bracket, any options and any radiance. Seeded, so that every run tries the same values.
+//! Properties that hold for any small bracket, any options and any radiance. The seed is fixed, so that every run tries
+//! the same values.
 //!
-//! `PROPTEST_CASES=5000 cargo test --test library properties` tries more of them.
+//! `PROPTEST_CASES=5000 cargo test --test library properties` tries more values.
 
 use hdralign::align::features::RobustMethod;
 use hdralign::align::{AlignMode, AlignOptions};
@@ -35,7 +36,7 @@ use std::cell::Cell;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Tests `property` with so many values of `strategy`, the same in every run.
+/// Tests `property` with `cases` values of `strategy`, the same values in every run.
 fn holds<S: Strategy>(cases: u32, strategy: S, property: impl Fn(S::Value) -> TestCaseResult) {
     let asked = std::env::var("PROPTEST_CASES").ok().and_then(|text| text.parse().ok());
     let config = ProptestConfig {
@@ -55,9 +56,9 @@ fn holds<S: Strategy>(cases: u32, strategy: S, property: impl Fn(S::Value) -> Te
 enum Content {
     /// Light that increases from one corner to the other, with spots, and moves a little from frame to frame.
     Scene,
-    /// Random codes, different in each frame.
+    /// Random code values, different in each frame.
     Noise,
-    /// One code everywhere.
+    /// One code value everywhere.
     Flat(u16),
     /// Alternating black and white pixels.
     Checkerboard,
@@ -68,7 +69,7 @@ enum Content {
 struct Photographs {
     size: (u32, u32),
     content: Content,
-    /// Exposures in EV; `None` to have them estimated.
+    /// Exposures in EV; `None` if they are to be estimated.
     ev: Option<Vec<f64>>,
     frames: usize,
     seed: u32,
@@ -107,7 +108,7 @@ impl Photographs {
         f64::from(reported.into_iter().fold(self.seed, mix) >> 8) / f64::from(1 << 24)
     }
 
-    /// The code of a pixel, of 65535.
+    /// Returns the code value of a pixel, 0..=65535.
     fn code(&self, frame: usize, x: u32, y: u32, channel: u32) -> u16 {
         match self.content {
             Content::Flat(code) => code,
@@ -123,7 +124,7 @@ impl Photographs {
         }
     }
 
-    /// Writes them into `folder`.
+    /// Writes the photographs into `folder` and returns their paths.
     fn write(&self, folder: &Path) -> Vec<PathBuf> {
         let (width, height) = self.size;
         let extension = if self.is_tiff { "tif" } else { "png" };
@@ -242,7 +243,7 @@ fn sound(report: &Report) -> TestCaseResult {
     Ok(())
 }
 
-/// Checks that a higher code means more light.
+/// Checks that a higher code value means more light.
 fn rises(curve: &ResponseCurve) -> TestCaseResult {
     for c in 0..3 {
         let (g, x) = (curve.ln_exposure(c), curve.exposures(c));
@@ -306,7 +307,7 @@ fn any_bracket_gives_finite_radiance_or_a_message_and_the_same_bytes_twice() {
     assert!(4 * merged > refused, "{merged} merged, {refused} refused: this shows little");
 }
 
-/// Any radiance value: over sixty decades, black, and the extremes of floats.
+/// Any radiance value: over sixty decades, black, and the extremes of `f32` and of half floats.
 fn light() -> impl Strategy<Value = f32> {
     prop_oneof![
         8 => (-30.0..30.0f32).prop_map(|e| 10f32.powf(e)),
@@ -316,7 +317,7 @@ fn light() -> impl Strategy<Value = f32> {
     ]
 }
 
-/// A picture of such numbers, or of one of them.
+/// A radiance map of such values (see [`light`]), or with one such pixel everywhere.
 fn radiance() -> impl Strategy<Value = RadianceMap> {
     let pixel = || [light(), light(), light()];
     (side(), side(), any::<bool>()).prop_flat_map(move |(width, height, is_flat)| {
@@ -328,7 +329,8 @@ fn radiance() -> impl Strategy<Value = RadianceMap> {
     })
 }
 
-/// Writes `map` to `name`. Returns it as it is read again, and the number of warnings.
+/// Writes `map` to the file `name`. Returns the map that is read from the file, and the number of warnings of the
+/// writer.
 fn there_and_back(folder: &Path, name: &str, map: &RadianceMap, options: &write::Options) -> (RadianceMap, usize) {
     let path = folder.join(name);
     let display = DisplayImage { pixels: Plane::filled(map.pixels.width(), map.pixels.height(), [0; 3]) };
@@ -362,7 +364,8 @@ fn files_are_read_back_within_the_precision_of_their_format() {
         let mut over = false;
         for (v, half) in map.pixels.as_slice().as_flattened().iter().zip(back.pixels.as_slice().as_flattened()) {
             over |= *v > 65504.0;
-            // Half of the last of 11 bits; below 2^-14 half of 2^-24, except that only black becomes 0.
+            // The error is at most half of the last of 11 bits, v / 2048. Below 2^-14 it is at most 2^-24 = 6e-8,
+            // because values other than 0 are never rounded to 0.
             let off = (v.min(65504.0) - half).abs();
             prop_assert!(off <= v * (1.0 / 2048.0) || off <= 6e-8, "{v} as {half}");
             prop_assert_eq!(*half == 0.0, *v == 0.0);
@@ -376,8 +379,8 @@ fn files_are_read_back_within_the_precision_of_their_format() {
             let most = pixel.iter().copied().fold(0.0, f32::max);
             over |= most > MOST_RGBE;
             for (v, stored) in pixel.iter().zip(stored) {
-                // A mantissa has 8 bits relative to the largest component, and its first bit is set: a step is up to
-                // 1/128 of it, and a value is in the middle.
+                // The mantissa of the largest component has 8 bits, of which the first is set, so a step is at most
+                // 1/128 of this component. A stored value is the middle of a step, so the error is at most 1/256 of it.
                 let off = (v.min(MOST_RGBE) - stored).abs();
                 prop_assert!(off <= most * (1.0 / 255.0) || most < 1e-37, "{pixel:?} as {stored}");
             }
@@ -426,7 +429,7 @@ fn file_compared_with_itself_is_equal() {
             prop_assert!(compared.is_same() && compared.bytes_equal, "{}: {}", name, compared.reason);
             let json: serde_json::Value = serde_json::from_str(&compared.to_json()).expect("JSON");
             prop_assert_eq!(&json["verdict"], "same");
-            // Also for another file with the same pixels: its bytes differ if it is compressed in another way.
+            // A copy of the file under another name is also the same.
             let copy = dir.path().join(format!("copy-{name}"));
             fs::copy(&path, &copy).expect("a copy");
             let compared = compare::files(&path, &copy, &compare::Options::default()).expect("comparable");
@@ -436,7 +439,7 @@ fn file_compared_with_itself_is_equal() {
     });
 }
 
-/// Numbers in a response file: increasing, constant and invalid ones.
+/// Curves in a response file: increasing, constant and invalid ones.
 fn responses() -> impl Strategy<Value = [Vec<f64>; 3]> {
     let step = prop_oneof![
         6 => 0.0..0.1f64,
@@ -504,7 +507,7 @@ fn a_response_that_is_read_rises_or_is_refused() {
     assert!(4 * used > refused && 4 * refused > used, "{used} used, {refused} refused");
 }
 
-/// A curve in any unit, however steep, merges to finite radiance with every weight.
+/// With a response curve in any unit, however steep, and with every weighting function, the radiance is finite.
 #[test]
 fn any_curve_and_any_exposures_give_finite_radiance() {
     let weights = select(vec![Weight::Hat, Weight::Gaussian, Weight::MannPicard, Weight::Noise, Weight::Uniform]);

@@ -1,4 +1,4 @@
-//! The same bytes for the same photographs, on any number of threads, in any order and with any instruction set.
+//! The same photographs give the same bytes on any number of threads, in any order and with any instruction set.
 
 use crate::support::{FRAMES, Folder, jpeg, shrink, window};
 use hdralign::bracket::colour::Space;
@@ -19,10 +19,11 @@ use serde_json::Value;
 use std::fs;
 use std::path::PathBuf;
 
-/// Every output format, and the response.
+/// The output files that are compared, and the response.
 const OUTPUTS: [&str; 5] = ["a.exr", "a.hdr", "a.tif", "a.png", "response.json"];
 
-/// At half size (600 x 400 pixels: seven bands of rows, the last one short), so that each run takes about a second.
+/// Creates a folder with the bracket at half size (600 x 400 pixels: seven bands of rows, the last one short), so that
+/// each run takes about a second.
 fn folder() -> Folder {
     let folder = Folder::empty();
     for i in 1..=FRAMES {
@@ -63,7 +64,7 @@ fn neither_threads_nor_the_order_of_the_photographs_change_a_byte() {
     assert_same("another order", &one, &results(&folder, [4, 1, 5, 3, 2], "--threads 3"));
 }
 
-/// Features and their matching run only if bitmaps are not certain: here they are needed.
+/// By default features are detected and matched only if bitmaps are not certain; with `--align sift` always.
 #[test]
 fn features_do_not_depend_on_threads_or_order() {
     let folder = folder();
@@ -78,8 +79,8 @@ fn features_do_not_depend_on_threads_or_order() {
     assert_same("7 threads in another order", &one, &other);
 }
 
-/// Parts that run only on request: deghosting and flare, noise weights, another model, another colour space, units,
-/// encodings.
+/// Tests options that are off by default: deghosting and flare, noise weights, another response model, another colour
+/// space, units, encodings.
 #[test]
 fn results_of_options_do_not_depend_on_threads_or_order() {
     let folder = folder();
@@ -92,7 +93,8 @@ fn results_of_options_do_not_depend_on_threads_or_order() {
     assert_same("7 threads in another order", &one, &other);
 }
 
-/// With so little memory that all frames are on disk, and the radiance in slabs of the smallest height.
+/// The memory limit is so low that all frames are on disk, and the radiance is computed in slabs of the smallest
+/// height.
 #[test]
 fn little_memory_does_not_change_a_byte() {
     let folder = folder();
@@ -106,8 +108,8 @@ fn little_memory_does_not_change_a_byte() {
     assert!(folder.listing().iter().all(|(name, _)| name.ends_with(".jpg")), "nothing is left behind");
 }
 
-/// Returns the files and the report for `options` on `arm`. The choice is global in the process: only one test in
-/// this file runs the library in it, the others start the program.
+/// Returns the files and the report for `options`, computed with the instruction set `arm`. The choice of `arm` is
+/// global in the process, so only one test of this file calls the library; the others start the program.
 fn on(arm: Arm, folder: &Folder, options: &Options) -> (Vec<Vec<u8>>, Value) {
     assert!(simd::choose(arm));
     let images: Vec<PathBuf> = (1..=FRAMES).map(|i| folder.at(format!("w{i}.jpg"))).collect();
@@ -173,7 +175,7 @@ fn vector_instructions_do_not_change_a_byte() {
     }
 }
 
-/// Returns the instruction sets of this processor by the standard library, independent of pulp.
+/// Returns the instruction sets of this processor according to the standard library, independently of pulp.
 fn of_processor() -> Vec<Arm> {
     let mut arms = Vec::new();
     #[cfg(any(target_arch = "x86", target_arch = "x86_64"))]

@@ -14,17 +14,18 @@ use std::path::PathBuf;
 
 const SIZE: (u32, u32) = (160, 120);
 
-/// t ISO / N^2 of frame `i`, as in its EXIF: from 1/512 s in steps of two stops, f/8, ISO 100.
+/// Returns t ISO / N^2 of frame `i`, as in its EXIF: from 1/512 s in steps of two stops, at f/8 and ISO 100.
 fn exposure(i: usize) -> f64 {
     f64::powi(4.0, i as i32 - 1) / 512.0 * 100.0 / 64.0
 }
 
-/// Tiles of ten pixels, over ten stops: grey, so that no chroma is subsampled.
+/// Returns the radiance of the scene at a pixel: tiles of ten pixels, over ten stops. It is grey, so that the
+/// subsampling of chroma in JPEG has no effect.
 fn scene(x: u32, y: u32) -> f64 {
     f64::exp2(f64::from((x / 10) * 7 + (y / 10) * 13) % 101.0 / 10.0 - 3.0)
 }
 
-/// Frames of [`scene`] through the sRGB curve, `s1.jpg` to `s5.jpg`.
+/// Creates a folder with frames of [`scene`], encoded by the sRGB curve, `s1.jpg` to `s5.jpg`.
 fn scenes() -> Folder {
     let folder = Folder::empty();
     for i in 1..=FRAMES {
@@ -53,12 +54,13 @@ fn options(unit_exposure: Option<f64>) -> Options {
     }
 }
 
-/// Median ratio of their greens over the pixels that are well exposed in frame 3, which both have.
+/// Returns the median ratio of green in `b` to green in `a` over the pixels that are well exposed in frame 3, which
+/// both brackets contain.
 fn ratio(a: &Outcome, b: &Outcome) -> f64 {
     let mut ratios = Vec::new();
     for y in 0..SIZE.1 {
         for x in 0..SIZE.0 {
-            // Codes 63 to 188 of the sRGB curve.
+            // These are the code values 63 to 188 of the sRGB curve.
             if (0.05..0.5).contains(&(scene(x, y) * exposure(3))) {
                 let at = |o: &Outcome| f64::from(o.radiance.pixels.at(x as usize, y as usize)[1]);
                 ratios.push(at(b) / at(a));
@@ -80,8 +82,8 @@ fn normalised_brackets_have_the_same_unit() {
         (radiance.reference_exposure, radiance.unit_exposure_s)
     };
     assert_eq!(unit_of(&short), (exposure(2), Some(exposure(2))));
-    // Codes are rounded, and coded as JPEG with steps of 2: a pixel is within one code or 3 %, and the median over
-    // thousands of pixels with errors of either sign is within 1 %.
+    // Code values are rounded, and JPEG quantises them in steps of 2. So a pixel has an error of up to one code value,
+    // or 3 %, and the median over thousands of pixels with errors of either sign an error below 1 %.
     let own = ratio(&short, &long);
     assert!((own / (exposure(4) / exposure(2)) - 1.0).abs() < 0.01, "{own}");
 
@@ -91,12 +93,14 @@ fn normalised_brackets_have_the_same_unit() {
     assert!((common - 1.0).abs() < 0.01, "{common}");
     assert_eq!(unit_of(&short_in_unit), (exposure(2), Some(unit)));
     assert_eq!(unit_of(&long_in_unit), (exposure(4), Some(unit)));
-    // A single bracket has the same light in another unit: two roundings to a float of 2^-24 each.
+    // The same bracket in another unit has radiance that differs by `factor`, except for two roundings to `f32`, with
+    // relative errors of 2^-24 = 6e-8 each.
     let factor = unit / exposure(2);
     for (a, b) in short.radiance.pixels.as_slice().iter().zip(short_in_unit.radiance.pixels.as_slice()) {
         assert!((0..3).all(|c| (f64::from(b[c]) / (f64::from(a[c]) * factor) - 1.0).abs() < 1.2e-7), "{a:?} {b:?}");
     }
-    // In this unit radiance 1 is the middle code, 0.2158 of the top by the sRGB curve, as in the scene.
+    // Radiance 1 gives the middle code value at the unit exposure, which by the sRGB curve is 0.2158 of saturation;
+    // saturation is a product of radiance and exposure of 1 in the scene.
     let (x, y) = (0..SIZE.0).map(|x| (x, 5)).find(|&(x, y)| (0.1..0.3).contains(&(scene(x, y) * exposure(3)))).unwrap();
     let light = f64::from(long_in_unit.radiance.pixels.at(x as usize, y as usize)[1]) * 0.2158 / unit;
     assert!((light / scene(x, y) - 1.0).abs() < 0.03, "{light} {}", scene(x, y));
@@ -141,7 +145,7 @@ fn absolute_files_state_their_unit_and_other_formats_are_rejected() {
     assert!(json["radiance"]["unit_exposure_s"].is_null() && json["radiance"]["reference_exposure"].is_number());
 }
 
-/// Returns the response of `brackets`, saved as `name`.
+/// Recovers the response of `brackets`, saves it as `name`, and returns the report.
 fn recover(
     folder: &Folder,
     brackets: &[Vec<PathBuf>],
@@ -176,7 +180,7 @@ fn unusable_bracket_is_skipped_for_the_response_on_request() {
 
     let error = recover(&folder, &[bad, alone], "none.json", true).unwrap_err();
     assert!(matches!(&error, Error::NoResponse { path, .. } if path.ends_with("s1.jpg")), "{error}");
-    assert!(error.to_string().contains("none of its 2 brackets") && error.to_string().contains("bad.jpg"), "{error}");
+    assert!(error.to_string().contains("none of the 2 brackets") && error.to_string().contains("bad.jpg"), "{error}");
     assert!(recover(&folder, &[], "none.json", true).unwrap_err().is_usage());
     assert!(!folder.at("none.json").exists());
 }

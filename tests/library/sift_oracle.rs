@@ -5,7 +5,7 @@ use hdralign::align::features::{Descriptors, Keypoint, SiftDescriptor};
 use hdralign::plane::Plane;
 use std::path::Path;
 
-/// A keypoint of OpenCV, in our units.
+/// A keypoint that OpenCV found, in our units, with its descriptor.
 struct Theirs {
     point: Keypoint,
     descriptor: Option<SiftDescriptor>,
@@ -37,7 +37,8 @@ fn theirs() -> Vec<Theirs> {
         .collect()
 }
 
-/// Position of our entry `i` in OpenCV's descriptor: the same cell, but its directions run from +y towards +x.
+/// Returns the position of our entry `i` in OpenCV's descriptor: it has the same cell, but its directions run from +y
+/// towards +x.
 fn permuted(i: usize) -> usize {
     i / 8 * 8 + (8 - i % 8) % 8
 }
@@ -46,12 +47,12 @@ fn apart(a: &Keypoint, b: &Keypoint) -> f32 {
     (a.x - b.x).hypot(a.y - b.y)
 }
 
-/// Within a pixel, and a fifth in scale.
+/// Returns whether two keypoints are within a pixel of each other, and their scales within a factor of 1.2.
 fn same_place(a: &Keypoint, b: &Keypoint) -> bool {
     apart(a, b) < 1.0 && a.scale < 1.2 * b.scale && b.scale < 1.2 * a.scale
 }
 
-/// The angle between two directions, in degrees.
+/// Returns the angle between the directions of two keypoints, in degrees.
 fn turn(a: &Keypoint, b: &Keypoint) -> f32 {
     let turn = (a.angle - b.angle).to_degrees().rem_euclid(360.0);
     turn.min(360.0 - turn)
@@ -91,8 +92,8 @@ fn both_find_the_same_places_scales_and_directions() {
     assert!(theirs.len() > 200);
     assert!(recall.0 > 0.85 && recall.1 > 0.85, "{recall:?}");
     assert!(share(directed, theirs_found) > 0.9);
-    // Both fit the same quadratic with nearly the same result; a wrong convention would differ by a quarter of a
-    // pixel or more.
+    // Both implementations fit the same quadratic, with nearly the same result. Another convention for coordinates
+    // would shift the positions by a quarter of a pixel or more.
     assert!(median < 0.1 && mean(|d| d.1).abs() < 0.1 && mean(|d| d.2).abs() < 0.1);
 }
 
@@ -105,7 +106,8 @@ fn descriptors_of_the_same_places_find_each_other() {
     let distance = |a: &SiftDescriptor, b: &SiftDescriptor| -> i64 {
         a.iter().zip(b).map(|(p, q)| (i64::from(*p) - i64::from(*q)).pow(2)).sum()
     };
-    // OpenCV returns a part of all keypoints, we return all: only those that both found are matched, mutually.
+    // OpenCV returns only a part of its keypoints, and we return all of ours: only keypoints that both found are
+    // matched, as mutual nearest neighbours.
     let common: Vec<&(Keypoint, SiftDescriptor)> =
         theirs.iter().filter(|t| ours.keypoints.iter().any(|p| same_place(p, &t.0) && turn(p, &t.0) < 10.0)).collect();
     let (mut right, mut matched, mut close) = (0, 0, 0);
@@ -121,7 +123,7 @@ fn descriptors_of_the_same_places_find_each_other() {
     println!("{} in common, {matched} mutual, {right} right, {close} within 100 of 512", common.len());
     assert!(common.len() > 60);
     assert!(share(matched, common.len()) > 0.9 && share(right, matched) > 0.9);
-    // The same layout, not only a distinctive one: the distance of two descriptors without common entries is sqrt(2)
-    // 512.
+    // A distance below 100 shows that both descriptors have the same layout: descriptors of length 512 without common
+    // entries have a distance of sqrt(2) * 512.
     assert!(share(close, matched) > 0.8);
 }

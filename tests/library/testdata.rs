@@ -1,4 +1,5 @@
-//! The project's own bracket, `testdata/window/`: the program that renders it, and tests that both agree.
+//! The project's own bracket, `testdata/window/`: the program that renders it, and tests that the program and the files
+//! agree.
 //!
 //! To render it again (a few minutes on two cores; see `testdata/window/README.md`):
 //!
@@ -21,10 +22,10 @@ use window::trace::{View, render};
 use window::truth;
 use window::vec3::V3;
 
-/// Light paths per pixel of the large picture; the denoiser allows for so few.
+/// Number of light paths per pixel of the large picture; so few are enough, because the picture is denoised.
 const SAMPLES: u32 = 14;
 
-/// The large picture reaches this part of a frame beyond it, on every side.
+/// Margin of the large picture around the reference frame on every side, as a fraction of the frame's width or height.
 const MARGIN: f64 = 0.1;
 
 fn view(scale: f64, margin: f64, samples: u32) -> View {
@@ -39,7 +40,7 @@ fn view(scale: f64, margin: f64, samples: u32) -> View {
     }
 }
 
-/// A simple tone curve, only for previews.
+/// Writes `pixels` to the file `path` with a simple tone curve, only for viewing.
 fn preview(pixels: &[V3], width: usize, path: &std::path::Path) {
     let show = |l: f32| {
         let x = l / 260.0;
@@ -49,7 +50,7 @@ fn preview(pixels: &[V3], width: usize, path: &std::path::Path) {
     let bytes: Vec<u8> = pixels
         .iter()
         .flat_map(|p| {
-            // The luminance is compressed, so that colours are kept.
+            // Only the luminance is compressed, so that colours are kept.
             let l = p.luminance().max(1e-6);
             let k = (l / 120.0).powf(-0.42);
             [show(p.x * k), show(p.y * k), show(p.z * k)]
@@ -179,12 +180,13 @@ fn the_response_is_monotone_and_its_inverse_is_its_inverse() {
     assert_eq!((camera::response(0.0), camera::response(1.0)), (0.0, 1.0));
 }
 
-/// The frames contain the light on the sensor, transformed by the camera model.
+/// The frames contain the true light on the sensor, transformed by the camera model.
 ///
-/// Where the truth is uniform, the quarter-size truth gives what each pixel saw. Over 5 x 5 pixels of a frame the
-/// noise of about 2 values and that of JPEG of about 1 average to less than 1; the RGBE step of the truth is at most
-/// 1/256, which is below half a value; variations inside a block add as much. A changed response would differ by
-/// several values. Where the truth has texture, a position a few pixels beside the stated one must fit worse.
+/// Where the truth is uniform, the quarter-size truth shows the light of each pixel. Over 5 x 5 pixels of a frame, the
+/// noise of about 2 code values and the JPEG error of about 1 average to less than 1; the RGBE step of the truth is at
+/// most 1/256, which is below half a code value; variations inside a block add as much. With another response the
+/// frames would differ by several code values. Where the truth has texture, a position a few pixels beside the true one
+/// must fit worse.
 #[test]
 fn frames_are_the_truth_through_the_camera() {
     let (truth, w) = truth::read_hdr(&shipped("truth.hdr"));
@@ -229,7 +231,7 @@ fn frames_are_the_truth_through_the_camera() {
     }
 }
 
-/// The scene, rendered very small without denoising, matches the stored truth: a changed lamp, wall or chair would be
+/// The scene, rendered very small without denoising, matches the stored truth, so that a changed lamp, wall or chair is
 /// detected.
 #[test]
 fn the_scene_still_renders_to_the_truth() {

@@ -1,9 +1,9 @@
 //! A simulated memory card, for tests and trials: brackets with all their EXIF, made from `testdata/window`.
 //!
-//! In: what is photographed (exposures, pauses, camera, size), added to a [`Card`] shot by shot. Out: JPEG files in a
-//! folder. Each bracket shows another part of the window's room, mirrored or not, so that no two are equal; motion
-//! and response are those of `testdata/window`. An exposure between its five is made from the next darker one with
-//! the known response. Cost: about 15 ms per frame of 960 px and core.
+//! In: the shots (exposures, pauses, camera, size), added to a [`Card`] one by one. Out: JPEG files in a folder. Each
+//! bracket shows another part of the room of `testdata/window`, mirrored or not, so that no two are equal; motion and
+//! response are those of `testdata/window`. An exposure between the five of `testdata/window` is made from the next
+//! darker one with the known response. Cost: about 15 ms of one core per frame of 960 px.
 
 #![allow(dead_code, reason = "each test program uses a part of it")]
 
@@ -24,7 +24,7 @@ use std::time::{Duration, UNIX_EPOCH};
 /// 2026-09-19 00:00:00, in seconds since 1970: the day on which every card begins.
 const DAY: u64 = 1_789_776_000;
 
-/// The photographs of `testdata/window`, darkest first: EV relative to 1/32 s.
+/// Exposures of the photographs of `testdata/window` in EV relative to 1/32 s, darkest first.
 const WINDOW_EV: [f64; 5] = [-4.0, -2.0, 0.0, 2.0, 4.0];
 
 /// Smallest fraction of the window's width that a bracket shows; smaller parts would be mostly wall.
@@ -54,7 +54,7 @@ const PRINTED: [(u32, u32); 18] = [
 ];
 const PRINTED_ZERO: i32 = 7;
 
-/// The camera: what it writes into each file.
+/// A camera, by the data that it writes into each file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
     pub make: String,
@@ -64,9 +64,9 @@ pub struct Camera {
     pub f_number: f64,
     pub iso: u16,
     pub focal_length_mm: u32,
-    /// Whether its clock is recorded to hundredths of a second or, as in old cameras, to seconds.
+    /// Whether times are recorded to hundredths of a second, and not only to seconds, as by old cameras.
     pub has_sub_seconds: bool,
-    /// From the end of an exposure to the start of the next one in a bracket, in ms.
+    /// Pause from the end of an exposure to the start of the next one in a bracket, in ms.
     pub between_ms: u64,
 }
 
@@ -89,23 +89,24 @@ impl Default for Camera {
 /// A shot: a single photograph or one frame of a bracket.
 #[derive(Clone, Debug)]
 pub struct Shot {
-    /// Path in the card's folder.
+    /// Path relative to the folder of the card.
     pub name: PathBuf,
     pub camera: Camera,
-    /// The view: shots of one view are frames of one bracket.
+    /// Number of the view; shots of one view are frames of one bracket.
     pub view: u64,
-    /// Exposure relative to 1/32 s at the camera's own f-number and ISO; at least -4. It determines the time.
+    /// Exposure in EV relative to 1/32 s at the f-number and ISO of the camera; at least -4. It determines the exposure
+    /// time.
     pub ev: f64,
     /// The value of `ExposureBiasValue`.
     pub bias_ev: f64,
-    /// Start of the exposure since the beginning of the card's first day.
+    /// Start of the exposure, in ms since the beginning of the first day of the card.
     pub begin_ms: u64,
     pub is_auto_bracket: bool,
     pub has_flash: bool,
     /// EXIF orientation, 1 to 8.
     pub orientation: u16,
     pub has_exif: bool,
-    /// Truncated in the middle of the picture's data, as by removing the card; the header is complete.
+    /// Whether the file is truncated in the picture data, as by removing the card too early; the header is complete.
     pub is_truncated: bool,
 }
 
@@ -115,7 +116,7 @@ impl Shot {
         self.ev.exp2() / 32.0
     }
 
-    /// Returns the end of the exposure.
+    /// Returns the end of the exposure, in ms since the beginning of the first day of the card.
     pub fn end_ms(&self) -> u64 {
         self.begin_ms + (1000.0 * self.time_s()).ceil() as u64
     }
@@ -125,17 +126,17 @@ impl Shot {
 #[derive(Clone, Debug)]
 pub struct Card {
     pub camera: Camera,
-    /// Width of the pictures in pixels, as the sensor has them; they are 3:2. 64 to 1200.
+    /// Width of the pictures in pixels before orientation, 64 to 1200; the height is two thirds of it.
     pub width: u32,
-    /// Folder in the card's folder, such as `DCIM/100TEST`; empty at first.
+    /// Folder of the next shots, relative to the folder of the card, such as `DCIM/100TEST`; empty at first.
     pub folder: PathBuf,
-    /// Number in the next file's name.
+    /// Number in the name of the next file.
     pub number: u32,
     /// The view of the next bracket.
     pub view: u64,
-    /// Earliest start of the next exposure, in ms since the beginning of the first day.
+    /// Earliest start of the next exposure, in ms since the beginning of the first day of the card.
     pub clock_ms: u64,
-    /// From the end of a bracket to the start of the next, in ms.
+    /// Pause from the end of a bracket to the start of the next one, in ms.
     pub pause_ms: u64,
     pub orientation: u16,
     /// Whether brackets are taken by automatic bracketing and recorded as such.
@@ -177,7 +178,7 @@ impl Card {
     /// Adds `brackets` brackets of `frames` frames `step` EV apart, in the order of most cameras: the metered one,
     /// darker, brighter, ...
     pub fn brackets(&mut self, brackets: usize, frames: usize, step: f64) -> &mut Self {
-        // Even numbers have one more on the brighter side.
+        // An even number of frames has one more on the brighter side.
         let side = |k: usize| if k % 2 == 1 { -(k.div_ceil(2) as f64) } else { (k / 2) as f64 };
         let signs = if frames.is_multiple_of(2) { -1.0 } else { 1.0 };
         let evs: Vec<f64> = (0..frames).map(|k| signs * side(k) * step).collect();
@@ -244,7 +245,7 @@ impl Card {
     }
 }
 
-/// The photographs of `testdata/window`.
+/// Returns the photographs of `testdata/window`, darkest first.
 fn window() -> &'static [RgbImage] {
     static FRAMES: OnceLock<Vec<RgbImage>> = OnceLock::new();
     FRAMES.get_or_init(|| {
@@ -262,8 +263,8 @@ fn chance(view: u64, what: u64) -> f64 {
     ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
 }
 
-/// Returns the code value of `testdata/window`'s camera (`tests/library/testdata/window/camera.rs`) after `ev` more
-/// stops of exposure.
+/// Returns the code value that the camera of `testdata/window` (`tests/library/testdata/window/camera.rs`) records
+/// instead of `value` with `ev` more stops of exposure.
 fn pushed(value: u8, ev: f64) -> u8 {
     let (power, knee) = (0.8, 0.45);
     let y = f64::from(value) / 255.0;
@@ -313,13 +314,14 @@ pub fn jpeg(shot: &Shot, width: u32) -> Vec<u8> {
         file = whole.encoder().bytes().to_vec();
     }
     if shot.is_truncated {
-        // The EXIF is at the front and less than half of the file; only picture data are lost.
+        // The EXIF is at the start and less than half of the file, so only picture data are lost.
         file.truncate(file.len() - file.len() / 4);
     }
     file
 }
 
-/// `ExposureTime`: as recorded by cameras if it is a whole stop; otherwise in microseconds.
+/// Returns the value of `ExposureTime`: as recorded by cameras if the exposure is a whole stop; otherwise in
+/// microseconds.
 fn printed_time(shot: &Shot) -> Rational {
     let place = PRINTED_ZERO + shot.ev.round() as i32;
     match usize::try_from(place).ok().and_then(|k| PRINTED.get(k)) {

@@ -18,15 +18,16 @@ use std::process::{Command, Stdio};
 use std::sync::OnceLock;
 use tempfile::TempDir;
 
-/// Frames of the bracket.
+/// Number of frames of the bracket.
 pub const FRAMES: usize = 5;
 
-/// Frame `i` of the bracket, from 1.
+/// Returns the path of frame `i` of the bracket, from 1.
 pub fn window(i: usize) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("testdata/window/window_{i}.jpg"))
 }
 
-/// Means of `side` x `side` pixels, rounded half up: the same on every machine.
+/// Returns the means of blocks of `side` x `side` pixels, rounded half up: integers, which are the same on every
+/// machine.
 pub fn shrink(picture: &RgbImage, side: u32) -> RgbImage {
     RgbImage::from_fn(picture.width() / side, picture.height() / side, |x, y| {
         let mean = |c: usize| {
@@ -37,12 +38,12 @@ pub fn shrink(picture: &RgbImage, side: u32) -> RgbImage {
     })
 }
 
-/// Frame `i` at 300 x 200 pixels.
+/// Returns frame `i` at 300 x 200 pixels.
 pub fn small(i: usize) -> RgbImage {
     shrink(&image::open(window(i)).expect("a frame of testdata/window").to_rgb8(), 4)
 }
 
-/// `picture` as a JPEG with the EXIF of frame `i`, or without.
+/// Returns `picture` as a JPEG with the EXIF of frame `exif_of`, or without EXIF.
 pub fn jpeg(picture: &RgbImage, exif_of: Option<usize>) -> Vec<u8> {
     let mut plain = Vec::new();
     JpegEncoder::new_with_quality(&mut plain, 95).encode_image(picture).expect("a JPEG");
@@ -55,7 +56,7 @@ pub fn jpeg(picture: &RgbImage, exif_of: Option<usize>) -> Vec<u8> {
     file.encoder().bytes().to_vec()
 }
 
-/// `picture` as a JPEG whose EXIF has these fields and no others.
+/// Returns `picture` as a JPEG whose EXIF has these fields and no others.
 pub fn jpeg_with(picture: &RgbImage, fields: &[(Tag, Value)]) -> Vec<u8> {
     let field = |(tag, value): &(Tag, Value)| Field { tag: *tag, ifd_num: In::PRIMARY, value: value.clone() };
     let fields: Vec<Field> = fields.iter().map(field).collect();
@@ -68,24 +69,24 @@ pub fn jpeg_with(picture: &RgbImage, fields: &[(Tag, Value)]) -> Vec<u8> {
     file.encoder().bytes().to_vec()
 }
 
-/// An EXIF rational.
+/// Returns an EXIF rational.
 pub fn ratio(num: u32, denom: u32) -> Value {
     Value::Rational(vec![Rational { num, denom }])
 }
 
-/// The small frames as JPEGs with EXIF, made once per test program.
+/// Returns the small frames as JPEGs with EXIF; they are made once per test program.
 fn small_jpegs() -> &'static [Vec<u8>] {
     static FILES: OnceLock<Vec<Vec<u8>>> = OnceLock::new();
     FILES.get_or_init(|| (1..=FRAMES).map(|i| jpeg(&small(i), Some(i))).collect())
 }
 
-/// The program under test: that of this build, or the one that `HDRALIGN_BIN` names.
+/// Returns the path of the program under test: that of this build, or that in `HDRALIGN_BIN`.
 pub fn program() -> PathBuf {
     std::env::var_os("HDRALIGN_BIN").map_or_else(|| env!("CARGO_BIN_EXE_hdralign").into(), PathBuf::from)
 }
 
-/// Returns the prefix that runs a command on a system without `lacks`: `anonymous` files, hard `link`s, renaming with
-/// `noreplace`; `None` if this machine does not allow it.
+/// Returns the prefix of a command line that runs the command as on a system without a feature: `anonymous` files, hard
+/// `link`s, or renaming with `noreplace`. `None` if this machine does not allow it.
 pub fn without(lacks: &str) -> Option<[String; 3]> {
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/support/without.py");
     let words = ["python3", script, lacks].map(str::to_owned);
@@ -126,7 +127,7 @@ impl Folder {
         fs::read(self.at(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
     }
 
-    /// Returns every name in it, including hidden ones, and the length of each file.
+    /// Returns every name in the folder, including hidden ones, with its length in bytes.
     pub fn listing(&self) -> Vec<(String, u64)> {
         let entry = |e: std::io::Result<fs::DirEntry>| {
             let e = e.expect("an entry");
@@ -154,7 +155,7 @@ impl Folder {
     }
 }
 
-/// Small frame `i` as a JPEG with EXIF.
+/// Returns small frame `i` as a JPEG with EXIF.
 pub fn small_jpeg(i: usize) -> &'static [u8] {
     &small_jpegs()[i - 1]
 }

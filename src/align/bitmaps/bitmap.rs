@@ -10,7 +10,7 @@ use std::ops::Range;
 
 /// A bitmap with one bit per pixel.
 ///
-/// Rows are padded with zeros to whole words, with one more zero word at each end.
+/// Each row is padded with zeros to whole words, and has one more zero word at each end.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Bitmap {
     width: usize,
@@ -54,10 +54,12 @@ impl Bitmap {
     }
 }
 
-/// Gathers the lowest bits of eight bytes into one byte: bit i is that of byte i. All other bits must be 0.
+/// Gathers the lowest bits of eight bytes into one byte: its bit i is that of byte i. All other bits of the bytes must
+/// be 0.
 ///
-/// The product has no carries: byte i times factor j sets bit 8 i + 7 (8 - j), which is different for every pair, and
-/// the eight pairs with i = j set the top byte.
+/// The constant is the sum of the terms 2^(7 (8 - j)) for j in 0..8. Byte i times term j sets bit 8 i + 7 (8 - j) of
+/// the product, a different bit for every pair (i, j), so there are no carries. The eight pairs with i = j set the top
+/// byte.
 #[inline]
 fn gather(bytes: [u8; 8]) -> u64 {
     u64::from_le_bytes(bytes).wrapping_mul(0x0102_0408_1020_4080) >> 56
@@ -71,10 +73,10 @@ fn pack(pixels: &[u8; 64], set: impl Fn(u8) -> u8) -> u64 {
     eights.iter().rev().fold(0, |bits, &eight| bits << 8 | gather(eight))
 }
 
-/// The 64 bits of a padded row starting at pixel `bit`; bits outside the row are zero.
+/// Returns the 64 bits of a padded row that start at pixel `bit`; bits outside the row are zero.
 #[inline]
 pub(crate) fn bits_from(row: &[u64], bit: i64) -> u64 {
-    // Where fewer than two words of the padded row are left, these are padding, which is zero.
+    // If fewer than two words of the padded row are left from `first` on, they are padding, which is zero.
     let first = usize::try_from((bit >> 6) + 1).unwrap_or(row.len());
     match row.get(first..).and_then(|r| r.first_chunk::<2>()) {
         Some(&[low, high]) => join(low, high, (bit & 63) as u32),
@@ -82,7 +84,7 @@ pub(crate) fn bits_from(row: &[u64], bit: i64) -> u64 {
     }
 }
 
-/// The 64 bits starting `offset` (0..64) bits into `low` and continuing in `high`.
+/// Returns the 64 bits that start `offset` (0..64) bits into `low` and continue in `high`.
 #[inline(always)]
 pub(super) fn join(low: u64, high: u64, offset: u32) -> u64 {
     (low >> offset) | (high << 1) << (63 - offset)
@@ -100,7 +102,7 @@ pub struct Zone {
 }
 
 impl Zone {
-    /// The zone that excludes grey values up to `tolerance` away from `threshold`.
+    /// Returns the zone that excludes grey values up to `tolerance` away from `threshold`.
     pub fn about(threshold: u8, tolerance: u8) -> Self {
         Zone { low: threshold.saturating_sub(tolerance), threshold, high: threshold.saturating_add(tolerance) }
     }
@@ -111,11 +113,11 @@ impl Zone {
 pub struct ThresholdBitmaps {
     /// Set where the pixel is brighter than the threshold.
     pub threshold: Bitmap,
-    /// Set where the pixel is compared: far enough from the threshold not to change sides by noise.
+    /// Set where the pixel is compared: its value is so far from the threshold that noise does not change the side.
     pub exclusion: Bitmap,
 }
 
-/// Words of a threshold bitmap and of its exclusion bitmap.
+/// Words of a threshold bitmap, and the words of its exclusion bitmap at the same positions.
 pub(super) type Words<'a> = (&'a [u64], &'a [u64]);
 
 impl ThresholdBitmaps {
@@ -153,7 +155,7 @@ impl ThresholdBitmaps {
         (&self.threshold.words[range.clone()], &self.exclusion.words[range])
     }
 
-    /// Bitmaps of which no pixel counts.
+    /// Returns bitmaps in which all pixels are excluded from comparison.
     pub fn blank(width: usize, height: usize) -> Self {
         ThresholdBitmaps { threshold: Bitmap::blank(width, height), exclusion: Bitmap::blank(width, height) }
     }

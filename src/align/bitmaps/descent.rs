@@ -13,21 +13,21 @@ use nalgebra::{SMatrix, SVector};
 
 /// Step below which the descent ends, in pixels of the level.
 const SETTLED: f64 = 0.02;
-/// Least share of the pixels that must be compared for a rate.
+/// Least share of the pixels that must be compared for a valid rate (share of differing pixels).
 pub(crate) const LEAST_COMPARED: f64 = 0.1;
-/// Cells of the picture along a side, each of which gives observations of the motion.
+/// Number of cells along a side of the picture. Each cell gives observations of the motion.
 const CELLS: usize = 6;
 /// Prior standard deviation of each parameter, in pixels of the level.
 const PRIOR_PX: f64 = 1.0;
-/// The largest step of a round, in pixels of the level: as far as the counts reach.
+/// The largest step of a round, in pixels of the level: that of the farthest displacement in [`STEPS`].
 const LONGEST_STEP: f64 = 2.0;
 /// Number of times that the observations are reweighted by their residuals.
 const REWEIGHTED: usize = 3;
 /// Displacements at which mismatches are counted, in pixels.
 const STEPS: [i64; 5] = [-2, -1, 0, 1, 2];
-/// The eight nearest shifts.
+/// The eight nearest shifts, as (right, down).
 const NEIGHBOURS: [(i64, i64); 8] = [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)];
-/// Points along a side over which the error is averaged.
+/// Number of points along a side over which the error is averaged.
 const GRID: usize = 7;
 
 /// Number of parameters of the fit.
@@ -38,8 +38,9 @@ const UNKNOWNS: usize = 9;
 type Row = SVector<f64, UNKNOWNS>;
 type Square = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 
-/// The observation of one kind of edge of one cell along one axis: `row` . parameters = `value`, in pixels, with
-/// variance 1 / `weight` if all differing pixels were independent.
+/// An equation for the parameters, from one kind of edge of one cell along one axis (see [`Descent::observations`]):
+/// `row` . parameters = `value`, in pixels. If all differing pixels were independent, its variance would be 1 /
+/// `weight`.
 #[derive(Debug, Clone, Copy)]
 struct Observation {
     row: Row,
@@ -56,7 +57,7 @@ pub(crate) struct Descent<'a> {
 }
 
 impl<'a> Descent<'a> {
-    /// A descent with rotations of at most `max_angle` radians in either direction; 0 allows none.
+    /// Prepares a descent with rotations of at most `max_angle` radians in either direction; 0 allows none.
     pub(crate) fn new(reference: &'a ThresholdBitmaps, frame: &'a ThresholdBitmaps, max_angle: f64) -> Self {
         let warped = ThresholdBitmaps::blank(reference.threshold.width(), reference.threshold.height());
         Descent { reference, frame, warped, max_angle }
@@ -70,21 +71,21 @@ impl<'a> Descent<'a> {
         self.reference.threshold.height()
     }
 
-    /// The root mean square distance of a pixel from the centre, in pixels.
+    /// Returns the root mean square distance of a pixel from the centre, in pixels.
     pub(crate) fn arm(&self) -> f64 {
         let (width, height) = (self.width() as f64, self.height() as f64);
         ((width * width + height * height) / 12.0).sqrt()
     }
 
-    /// The share of pixels that differ with the warped frame shifted by (`right`, `down`); 1 where too few can be
-    /// compared.
+    /// Returns the share of pixels that differ with the warped frame shifted by (`right`, `down`); 1 where too few can
+    /// be compared.
     fn rate_beside(&self, right: i64, down: i64) -> f64 {
         let difference = difference_shifted(self.reference, &self.warped, right, down);
         let area = (self.width() * self.height()) as f64;
         if (difference.compared as f64) < LEAST_COMPARED * area { 1.0 } else { difference.rate() }
     }
 
-    /// The share of pixels that differ under `motion`; 1 where too few can be compared.
+    /// Returns the share of pixels that differ under `motion`; 1 where too few can be compared.
     pub(crate) fn rate(&mut self, motion: &Motion, rounding: Rounding) -> f64 {
         self.frame.warp_onto(motion, rounding, &mut self.warped);
         self.rate_beside(0, 0)
@@ -92,8 +93,8 @@ impl<'a> Descent<'a> {
 
     /// Descends from `start` to a motion none of whose neighbours has a lower rate; returns the rate and the motion.
     ///
-    /// Neighbours are the eight nearest shifts and the angles that move a pixel by a half and by one, in turn. Used for
-    /// small pictures, whose cells have too few edges.
+    /// The neighbours are, in turn, the eight nearest shifts, and the rotations in either direction that move a pixel
+    /// by half a pixel or by one (root mean square). Used for small pictures, whose cells have too few edges.
     pub(crate) fn descend_by_pixels(&mut self, start: Motion) -> (f64, Motion) {
         let mut best = (self.rate(&start, Rounding::Nearest), start);
         let step = 0.5 / self.arm();
@@ -130,7 +131,7 @@ impl<'a> Descent<'a> {
         let height = self.height() as f64;
         for _ in 0..rounds {
             let observations = self.observations(&here);
-            // A rotation by a is the field (-a y, a x).
+            // A rotation by a small angle a displaces (x, y) by (-a y, a x).
             let fit = Fit::of(&observations, self.free());
             let limit = |v: f64| v.clamp(-LONGEST_STEP, LONGEST_STEP);
             let (dx, dy) = (limit(fit.best[0]), limit(fit.best[3]));
@@ -144,11 +145,11 @@ impl<'a> Descent<'a> {
         here
     }
 
-    /// The differing pixels under `motion`, and its error estimate: root mean square over the picture, in pixels of the
-    /// level.
+    /// Returns the differing pixels under `motion`, and its error estimate: root mean square over the picture, in
+    /// pixels of the level.
     ///
     /// The error combines the uncertainty of the fitted shift and rotation with the change that a homography fitted to
-    /// the same observations would make, less the cell of that change that is expected by chance.
+    /// the same observations would make, less the part of that change that is expected by chance.
     pub(crate) fn assess(&mut self, motion: &Motion) -> (Difference, f64) {
         let observations = self.observations(motion);
         let difference = difference_shifted(self.reference, &self.warped, 0, 0);
@@ -171,14 +172,14 @@ impl<'a> Descent<'a> {
         if self.max_angle > 0.0 { RIGID } else { SHIFT }
     }
 
-    /// The observations of the error of `motion` in all cells.
+    /// Returns the observations of the error of `motion` in all cells.
     ///
     /// Let a cell have edges that are brighter on the right, of total height p, and edges that are darker on the right,
     /// of total height q. If the frame is displaced to the right by t, it is darker than the reference in p t pixels
     /// and brighter in q t pixels; if it is displaced to the left, the other way round. Excluded pixels reduce each
-    /// count by the width of the exclusion zones. A difference between the thresholds that displaces an edge by c
-    /// reduces one kind of count by more and the other by less. With the counts D(t) of darker and B(t) of brighter
-    /// pixels at displacement t, and the unknown displacement o,
+    /// count by the width of the exclusion zones. If the thresholds differ so that an edge is displaced by c, the
+    /// counts of one kind are reduced more and those of the other less. With the counts D(t) of darker and B(t) of
+    /// brighter pixels at displacement t, and the unknown displacement o,
     ///
     /// D(1) + D(2) - B(-1) - B(-2) = -4 p (o - c),   B(1) + B(2) - D(-1) - D(-2) = -4 q (o + c),
     ///
@@ -214,12 +215,12 @@ impl<'a> Descent<'a> {
                     let [none, near, far] =
                         [none_on + none_back, on[0] + back[0], on[1] + back[1]].map(|n: u64| n as f64);
                     let asymmetry = [0, 1].map(|k| back[k] as f64 - on[k] as f64);
-                    // Growth, asymmetry and its variance, each for a displacement of 1.
+                    // Growth, asymmetry, and variance of the asymmetry, each for a displacement of 1.
                     let wide = ((far - near) / 2.0, (asymmetry[0] + asymmetry[1]) / 4.0, (near + far) / 16.0);
                     let narrow = ((near - none) / 2.0, asymmetry[0] / 2.0, near / 4.0);
                     let weight = |(growth, _, variance): (f64, f64, f64)| growth * growth / variance.max(1.0);
                     let (growth, asymmetry, variance) = if weight(narrow) > weight(wide) { narrow } else { wide };
-                    // Growth within four standard deviations of chance is not an edge.
+                    // Growth of less than four standard deviations may be chance and is not an edge.
                     if growth > 0.0 && growth * growth > 16.0 * variance {
                         let mut row = row;
                         row[UNKNOWNS - 1] = cut;
@@ -236,7 +237,8 @@ impl<'a> Descent<'a> {
     }
 }
 
-/// The derivatives of the motion along an axis by each parameter, at a position in picture heights from the centre.
+/// Returns the derivatives by each parameter of the displacement along `axis`, at a position in picture heights from
+/// the centre.
 fn field(axis: usize, x: f64, y: f64) -> Row {
     Row::from(if axis == 0 {
         [1.0, x, y, 0.0, 0.0, 0.0, x * x, x * y, 0.0]
@@ -276,7 +278,8 @@ impl Fit {
             }
         }
         let mut fit = Fit { best: Row::zeros(), covariance: Square::zeros() };
-        // Neighbouring pixels that differ are not independent. The residuals give the factor of the variance.
+        // The actual variance is `noise` times that of independent pixels, because neighbouring pixels differ together.
+        // The residuals determine `noise`.
         let mut noise: f64 = 1.0;
         for pass in 0..=REWEIGHTED {
             let mut normal = Square::identity() / (PRIOR_PX * PRIOR_PX);
@@ -316,7 +319,7 @@ mod tests {
         ThresholdBitmaps::new(&scene.photograph(SIZE, transform, Shot::at(ev)), &Zone::about(level, 4))
     }
 
-    /// Radiance 1 has code 117 at 0 EV.
+    /// Returns the code value of radiance 1; it is 117 at 0 EV.
     fn code(ev: f64) -> u8 {
         (255.0 * (0.18 * ev.exp2()).powf(1.0 / 2.2)).round() as u8
     }
@@ -339,8 +342,8 @@ mod tests {
 
     #[test]
     fn a_frame_cut_brighter_is_not_moved() {
-        // Slopes of 24 px, wavy so that both axes contribute: three rise to the right for every one that falls to the
-        // right.
+        // Two slopes, 24 px long and wavy so that both axes contribute: one that rises to the right over the whole
+        // height, and one that falls to the right over a third of the height.
         let slopes = |x: f64, y: f64| {
             let wave = 12.0 * (y / 9.0).sin();
             let rise = |at: f64| ((x - at - wave) / 24.0).clamp(0.0, 1.0);
@@ -352,7 +355,8 @@ mod tests {
             ThresholdBitmaps::new(&grey, &Zone::about(level, 2))
         };
         let a = take(125);
-        // Four codes are a pixel, which would pull by half of one: (3 - 1) / (3 + 1).
+        // A threshold that differs by four code values displaces edges by a pixel. If this were ignored, the rising and
+        // the falling slope, with heights of 3 and 1, would displace the result by (3 - 1) / (3 + 1) = 0.5 px.
         for level in [121, 125, 129] {
             let b = take(level);
             let found = Descent::new(&a, &b, 0.0).descend(Motion::default(), 6);

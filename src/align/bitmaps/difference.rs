@@ -11,14 +11,14 @@ use std::ops::Range;
 /// The number of pixels that differ between the bitmaps of two frames under a motion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Difference {
-    /// Pixels that are excluded in neither frame and differ.
+    /// Number of pixels that are excluded in neither frame and differ.
     pub differing: u64,
-    /// Pixels that are excluded in neither frame.
+    /// Number of pixels that are excluded in neither frame.
     pub compared: u64,
 }
 
 impl Difference {
-    /// The share of the compared pixels that differ; 1 where none could be compared.
+    /// Returns the share of the compared pixels that differ; 1 where none could be compared.
     pub fn rate(&self) -> f64 {
         if self.compared == 0 { 1.0 } else { self.differing as f64 / self.compared as f64 }
     }
@@ -27,14 +27,14 @@ impl Difference {
 /// The number of pixels, excluded in neither frame, that are bright in one frame only.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Mismatches {
-    /// Bright in the reference, dark in the frame.
+    /// Number of pixels that are bright in the reference and dark in the frame.
     pub darker: u64,
-    /// Dark in the reference, bright in the frame.
+    /// Number of pixels that are dark in the reference and bright in the frame.
     pub brighter: u64,
 }
 
-/// The difference over the whole overlap when the frame's pixel (x + `dx`, y + `dy`) is compared with the reference's
-/// (x, y).
+/// Returns the difference over the whole overlap when the frame's pixel (x + `dx`, y + `dy`) is compared with the
+/// reference's (x, y).
 pub fn difference_shifted(reference: &ThresholdBitmaps, frame: &ThresholdBitmaps, dx: i64, dy: i64) -> Difference {
     let mut sum = Difference::default();
     let mut add = |(reference, low, high): (Words<'_>, Words<'_>, Words<'_>)| {
@@ -51,7 +51,8 @@ pub fn difference_shifted(reference: &ThresholdBitmaps, frame: &ThresholdBitmaps
         add(overlap(reference, frame, near, dy * stride + whole));
         return sum;
     }
-    // Words i + whole and i + whole + 1 of a row must both be among its words + 2, for i in 1..=words.
+    // A padded row has words + 2 words. For word i of the reference, 1..=words, both words i + whole and i + whole + 1
+    // of the frame must be among them.
     let (first, end) = (1.max(-whole), (words + 1).min(words + 1 - whole));
     if first < end {
         for y in 0.max(-dy)..height.min(height - dy) {
@@ -61,8 +62,8 @@ pub fn difference_shifted(reference: &ThresholdBitmaps, frame: &ThresholdBitmaps
     sum
 }
 
-/// The words `near` of the reference, and the words of the frame, `far` farther on, in which the corresponding bits
-/// begin and end.
+/// Returns the words `near` of the reference, and for each of them two words of the frame, `far` and `far` + 1 farther
+/// on, in which the corresponding bits begin and end.
 #[inline(always)]
 fn overlap<'a>(
     reference: &'a ThresholdBitmaps,
@@ -102,8 +103,8 @@ impl Loops for Count<'_> {
     }
 }
 
-/// Counts the mismatches in each cell of a grid over the reference, with the other bitmap shifted by (`dx`, `dy`),
-/// where |`dx`| is less than the bits of a word.
+/// Counts the mismatches in each cell of a grid over the reference, with the frame's bitmaps shifted by (`dx`, `dy`),
+/// where |`dx`| is less than 64, the bits of a word.
 ///
 /// The grid has `columns` columns of whole words; `cells` holds its cells row by row.
 pub fn mismatches(
@@ -132,7 +133,8 @@ pub fn mismatches(
     }
 }
 
-/// Some rows of up to [`WORDS`] words of the reference, and the frame under a shift.
+/// Counts the mismatches of some rows of the reference, in up to [`WORDS`] words of each row, with the frame under a
+/// shift.
 struct Band<'a> {
     reference: &'a ThresholdBitmaps,
     frame: &'a ThresholdBitmaps,
@@ -141,11 +143,12 @@ struct Band<'a> {
     shift: (i64, i64),
 }
 
-/// Words of a band that are counted side by side.
+/// Largest number of words of a row that are counted side by side.
 const WORDS: usize = 8;
 
 impl Loops for Band<'_> {
-    /// For each word, the compared pixels that are bright only in the reference, and only in the frame.
+    /// For each word, the number of compared pixels that are bright only in the reference, and that are bright only in
+    /// the frame.
     type Output = ([u64; WORDS], [u64; WORDS]);
 
     #[inline(always)]
@@ -230,7 +233,7 @@ mod tests {
             mismatches(&a, &b, (dx, dy), 3, &mut cells);
             let whole = difference_shifted(&a, &b, dx, dy);
             assert_eq!(cells.iter().map(|p| p.darker + p.brighter).sum::<u64>(), whole.differing);
-            // The second of the second row has words 2 and 3, rows 10..20.
+            // `cells[4]`, the second of the second row, has words 2 and 3 (columns 128..256), and rows 10..20.
             let inside = |x: i64, y: i64| (128..256).contains(&x) && (10..20).contains(&y);
             let bright = |x: i64, y: i64| a.threshold.get(x as usize, y as usize);
             let slow = [true, false].map(|is_bright| {

@@ -8,7 +8,8 @@
 //! the thesis.
 //!
 //! Every shift and angle is tried on the coarsest level. A few candidates are followed from level to level by whole
-//! pixels. Once the level is large enough, the best one is refined to the minimum of the XOR counts (`descent`).
+//! pixels. Once the level is large enough, those with few differing pixels are refined to the minimum of the XOR counts
+//! (`descent`), and the best one is kept.
 
 pub(crate) mod bitmap;
 mod descent;
@@ -28,7 +29,7 @@ pub(crate) use warp::{Motion, Rounding};
 
 use crate::align::transform::Transform;
 
-/// How the bitmaps are made and searched.
+/// How the bitmaps are computed, and which motions are searched.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MtbOptions {
     /// The largest rotation searched, in degrees in either direction.
@@ -56,14 +57,14 @@ pub struct MtbMatch {
     pub error_px: f64,
     /// The percentile of the threshold, the same in both frames.
     pub percentile: Percentile,
-    /// The differing pixels of the whole overlap under the motion, on the finest level searched.
+    /// The differing pixels of the whole overlap under the motion, on the finest level that is searched.
     pub difference: Difference,
-    /// The same without any motion.
+    /// The differing pixels without any motion, on the same level.
     pub difference_unmoved: Difference,
 }
 
 impl MtbMatch {
-    /// The motion as a transform; the identity if nothing moved.
+    /// Returns the motion as a transform; the identity if nothing moved.
     pub fn transform(&self) -> Transform {
         if self.motion == Motion::default() {
             return Transform::Identity;

@@ -12,7 +12,8 @@ use crate::plane::Plane;
 
 /// Finds the motion under which the bitmaps of `reference` and `frame` differ least.
 ///
-/// `finest` is the largest level searched. Levels of more than [`ENOUGH_PIXELS`] pixels are skipped, except the coarsest.
+/// `finest` is the largest level searched. Levels of more than [`ENOUGH_PIXELS`] pixels are skipped, except the
+/// coarsest.
 pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, options: &MtbOptions) -> MtbMatch {
     let coarsest = reference.len() - 1;
     let finest = finest.clamp(level_within(reference, ENOUGH_PIXELS), coarsest);
@@ -29,7 +30,8 @@ pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, optio
             (a.dx - b.dx).abs().max((a.dy - b.dy).abs()) > 1.0 || (a.angle - b.angle).abs() > turn
         };
         if candidates.len() > 1 || !is_certain {
-            // Sub-pixel refinement does not make up for a much higher rate at whole pixels.
+            // Drops candidates with a much higher rate of differing pixels: sub-pixel refinement would not make up for
+            // it.
             let descended: Vec<(f64, Motion)> = candidates.iter().map(|&c| descent.descend_by_pixels(c)).collect();
             let least = descended.iter().fold(f64::INFINITY, |least, (rate, _)| rate.min(least));
             let near = descended.into_iter().filter(|(rate, _)| !is_certain || *rate <= MOST_EXCESS * least).collect();
@@ -61,10 +63,10 @@ pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, optio
     }
 }
 
-/// Finds further motions under which the bitmaps nearly agree, as repeating facades or uniform surfaces cause.
+/// Finds further motions under which the bitmaps nearly agree, because facades repeat or surfaces are uniform.
 ///
-/// Tries all shifts on a level of moderate size, all rotated by `angle` radians. Returns at most `most` distinct
-/// motions, the best first.
+/// Tries all shifts on a level of moderate size, each with a rotation by `angle` radians. Returns at most `most`
+/// distinct motions, the best first.
 pub fn alternatives(
     reference: &GreyPyramid,
     frame: &GreyPyramid,
@@ -122,10 +124,10 @@ impl BitmapPair {
         self.size().0.min(self.size().1)
     }
 
-    /// The largest horizontal and vertical shift searched, in pixels of this level.
+    /// Returns the largest horizontal and vertical shift searched, in pixels of this level.
     ///
-    /// Limited by [`MOST_WORK`] and to shifts that leave an overlap. Neither limit matters for pictures less than four
-    /// times as long as wide.
+    /// The shifts are limited by [`MOST_WORK`], and so that an overlap remains. Neither limit matters for pictures less
+    /// than four times as long as wide.
     fn reach(&self, max_shift: f64) -> (i64, i64) {
         let (width, height) = self.size();
         let reach = libm::ceil(max_shift * width.max(height) as f64) as i64;
@@ -137,7 +139,7 @@ impl BitmapPair {
         (x, y)
     }
 
-    /// The share of pixels that differ at every whole shift up to `reach`, with a rotation by `angle`.
+    /// Returns the share of pixels that differ at every whole shift up to `reach`, with a rotation by `angle`.
     fn rate_shifts(&self, angle: f64, reach: (i64, i64)) -> Vec<(f64, Motion)> {
         let (width, height) = self.size();
         let mut turned = ThresholdBitmaps::blank(width, height);
@@ -154,7 +156,7 @@ impl BitmapPair {
         rated
     }
 
-    /// The best distinct motions of all whole shifts within reach and all angles.
+    /// Returns the best distinct motions among all whole shifts within [`reach`](Self::reach) and all angles.
     ///
     /// The angles are spaced so that each step moves the rim of the inscribed circle by a pixel.
     fn search_everywhere(&self, max_shift: f64, max_angle: f64) -> Vec<Motion> {
@@ -167,7 +169,8 @@ impl BitmapPair {
         })
     }
 
-    /// The match at full size for the motion `found` on `level`; no motion if it is within its error.
+    /// Returns the match at full size for the motion `found` on `level`; without motion if `found` is within
+    /// [`SIGNIFICANT`] times its error.
     fn conclude(&self, descent: &mut Descent, found: Motion, level: usize, full: (usize, usize)) -> MtbMatch {
         let scale = (1u64 << level) as f64;
         let (width, height) = self.size();
@@ -192,7 +195,7 @@ impl BitmapPair {
     }
 }
 
-/// The exclusion on `level`: every halving of the size halves the noise, but not the rounding to grey values.
+/// Returns the exclusion on `level`: every halving of the size halves the noise, but not the rounding to grey values.
 fn exclusion_at(level: usize, exclusion: u8) -> u8 {
     exclusion.div_ceil(1 << level.min(7))
 }
@@ -203,28 +206,28 @@ const SIGNIFICANT: f64 = 2.0;
 /// Least short side of the level on which alternatives are searched, in pixels: fine enough for the periods of facades.
 const ALTERNATIVES_SIDE: usize = 128;
 
-/// Most bitmap words compared per angle where every shift is tried: some tenths of a second. Reached by the
-/// alternatives of pictures of 4:1 or longer only.
+/// Largest number of bitmap words compared per angle where every shift is tried, which takes some tenths of a second.
+/// Only [`alternatives`] reaches it, and only for pictures at least four times as long as wide.
 const MOST_WORK: i64 = 1 << 29;
 /// Overhead of a row, in words that could be compared in the same time.
 const ROW_WORDS: usize = 8;
 
-/// Candidates followed from the coarsest level on; each following level keeps two thirds of them.
+/// Number of candidates followed from the coarsest level on; each following level keeps two thirds of them.
 const BEAM: usize = 9;
 
 /// A candidate whose rate of differing pixels is more than this multiple of the lowest is dropped.
 const MOST_EXCESS: f64 = 1.5;
 
-/// Smallest short side of a level, in pixels, for refinement to fractions of a pixel; from there on only the best
+/// Smallest short side of a level, in pixels, for refinement to fractions of a pixel; from that level on, only the best
 /// candidate is followed.
 const CERTAIN_SIDE: usize = 200;
 
-/// Rounds of the descent on each level.
+/// Number of rounds of the descent on each level but the last.
 const ROUNDS: usize = 2;
-/// The same on the last level.
+/// Number of rounds of the descent on the last level.
 const MOST_ROUNDS: usize = 4;
 
-/// The `most` motions with the lowest rates of which each is `distinct` from those before it.
+/// Returns at most `most` motions with the lowest rates, each of which is `distinct` from all before it.
 fn best_distinct(
     mut rated: Vec<(f64, Motion)>,
     most: usize,

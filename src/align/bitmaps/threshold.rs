@@ -3,26 +3,28 @@
 //! In: histograms of grey values. Out: [`Percentile`], [`Zone`]. Cost: negligible beside the histograms. Source: Ward
 //! 2003, section 2 (median, 17th and 83rd percentile; exclusion of 4 grey values).
 //!
-//! Unlike in Ward's method, the thresholds of both frames are at the same radiance, found by the ranks of the pixels. A
-//! zone of 4 grey values is some stops wide in a dark frame and a fraction of a stop in a bright one, and the median
-//! depends on the content of the frame. On smooth surfaces both displace the contours.
+//! Unlike in Ward's method, the thresholds of both frames are at the same radiance. They are found by rank: at any
+//! exposure, the pixels of a scene have the same order of grey values. A zone of 4 grey values is some stops wide in a
+//! dark frame and a fraction of a stop in a bright one, and the median depends on the content of the frame. On smooth
+//! surfaces both effects displace the contours of the bitmaps.
 
 use crate::align::bitmaps::{Motion, Zone};
 use crate::align::grey::{Histogram, Percentile};
 use crate::plane::Plane;
 
-/// The smaller of the shares of pixels below and above `zone`: 0 for a blank bitmap.
+/// Returns the smaller of the shares of pixels below and above `zone`: 0 for a blank bitmap.
 fn balance_at(histogram: &Histogram, zone: &Zone) -> f64 {
     histogram.share_below(zone.low.into()).min(1.0 - histogram.share_below(usize::from(zone.high) + 1))
 }
 
-/// Least share of pixels on either side of the zone for a bitmap with enough structure: half of what Ward's outer
-/// percentiles can give.
+/// Least share of pixels on either side of the zone for a bitmap with enough structure: half of the 17 % beyond Ward's
+/// outer percentiles.
 const LEAST_BALANCE: f64 = 0.085;
 
-/// The percentile at which both bitmaps have structure.
+/// Returns the percentile at which the bitmaps of both frames have structure.
 ///
-/// The median unless it is too extreme in either frame; otherwise the multiple of five percent with the best balance.
+/// This is the median, unless that leaves less than [`LEAST_BALANCE`] of a frame's pixels on one side of the zone; then
+/// it is the multiple of five percent with the best balance.
 pub fn common_percentile(a: &Histogram, b: &Histogram, exclusion: u8) -> Percentile {
     let balance = |p| {
         let (zone_a, zone_b) = matched_zones(a, b, p, exclusion);
@@ -35,10 +37,11 @@ pub fn common_percentile(a: &Histogram, b: &Histogram, exclusion: u8) -> Percent
     Percentile::others().fold(Percentile::MEDIAN, better)
 }
 
-/// The zones of two frames that cover the same ranks of their histograms.
+/// Returns the zones of two frames that contain the same share of each frame's pixels, at the same ranks.
 ///
-/// The zone that covers more ranks is `exclusion` grey values to either side of the percentile; the other consists of
-/// the grey values at the same ranks.
+/// In each frame, the grey values up to `exclusion` from the percentile contain a share of the pixels. The frame with
+/// the larger share keeps these grey values as its zone. The zone of the other frame consists of the grey values that
+/// its pixels have at the same ranks.
 pub fn matched_zones(a: &Histogram, b: &Histogram, percentile: Percentile, exclusion: u8) -> (Zone, Zone) {
     let own = |h: &Histogram| Zone::about(h.value_at(percentile), exclusion);
     let ranks = |h: &Histogram, z: &Zone| {
@@ -58,7 +61,7 @@ pub fn matched_zones(a: &Histogram, b: &Histogram, percentile: Percentile, exclu
     }
 }
 
-/// The histograms of the common area of two frames under `motion`, from about `PAIRED` pairs of pixels.
+/// Returns the histograms of the common area of two frames under `motion`, from about `PAIRED` pairs of pixels.
 pub fn common_histograms(reference: &Plane<u8>, frame: &Plane<u8>, motion: &Motion) -> (Histogram, Histogram) {
     let (width, height) = (reference.width(), reference.height());
     let step = ((width * height) as f64 / PAIRED as f64).sqrt().max(1.0) as usize;
@@ -80,7 +83,7 @@ pub fn common_histograms(reference: &Plane<u8>, frame: &Plane<u8>, motion: &Moti
     (Histogram(a), Histogram(b))
 }
 
-/// Pairs of pixels in the histograms: enough for ranks to differ by motion and noise rather than by sampling.
+/// Number of pairs of pixels in the histograms: so many that ranks differ by motion and noise rather than by sampling.
 const PAIRED: usize = 1 << 15;
 
 #[cfg(test)]
@@ -103,7 +106,7 @@ mod tests {
 
     #[test]
     fn zones_of_two_exposures_are_the_same_pixels() {
-        // Half as bright: 2 v and 2 v + 1 both become v.
+        // The second frame is half as bright: the values 2 v and 2 v + 1 of the first both become v.
         let bright = plane(256, 40, |x, _| x as u8);
         let dark = plane(256, 40, |x, _| x as u8 / 2);
         let (a, b) = (Histogram::of(&bright), Histogram::of(&dark));
@@ -112,7 +115,7 @@ mod tests {
             let cut = |p: &Plane<u8>, z: &Zone| crate::align::bitmaps::bitmap::ThresholdBitmaps::new(p, z);
             assert_eq!(cut(&bright, &zone_bright), cut(&dark, &zone_dark), "{percentile:?}");
             let level = b.value_at(percentile);
-            // The dark frame's zone is the wider one, and as it would be by itself.
+            // The dark frame's zone contains the larger share of the pixels, so it is as for that frame alone.
             assert_eq!(zone_dark, Zone::about(level, 4), "{percentile:?}");
             assert_eq!(usize::from(zone_bright.low), 2 * usize::from(zone_dark.low));
             assert_eq!(matched_zones(&b, &a, percentile, 4), (zone_dark, zone_bright));
@@ -131,15 +134,15 @@ mod tests {
 
     #[test]
     fn common_histograms_are_of_the_overlap() {
-        // The frame shows the reference 50 px farther left, and at its right something bright that the reference does
-        // not.
+        // The frame shows the reference's content 50 px farther left, and something bright at the right that is not in
+        // the reference.
         let reference = plane(200, 120, |x, _| x as u8);
         let frame = plane(200, 120, |x, _| if x < 150 { x as u8 + 50 } else { 255 });
         let motion = Motion { dx: -50.0, ..Motion::default() };
         let (a, b) = common_histograms(&reference, &frame, &motion);
         assert_eq!(a.0, b.0);
         assert_eq!((a.total(), a.share_below(50)), (150 * 120, 0.0));
-        // Turned by a half turn about the centre every pixel meets its opposite.
+        // After half a turn about the centre, every pixel is compared with the opposite one.
         let half_turn = Motion { angle: std::f64::consts::PI, ..Motion::default() };
         let turned = plane(200, 120, |x, _| 199 - x as u8);
         let (a, b) = common_histograms(&reference, &turned, &half_turn);

@@ -20,7 +20,8 @@ pub struct Motion {
 }
 
 impl Motion {
-    /// The motion that maps each pixel to where this one maps the pixel `right` and `down` of it.
+    /// Returns the motion that maps each pixel to where `self` maps the pixel that is `right` columns and `down` rows
+    /// farther.
     pub fn beside(&self, right: i64, down: i64) -> Motion {
         let (s, c) = (libm::sin(self.angle), libm::cos(self.angle));
         let (right, down) = (right as f64, down as f64);
@@ -31,7 +32,7 @@ impl Motion {
 /// Rounding of a position between pixels to a pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Rounding {
-    /// To the nearest.
+    /// To the nearest pixel.
     Nearest,
     /// To either neighbour, the nearer one more often, by a fixed pattern that changes with every word of 64 pixels and
     /// every row. Counts then vary smoothly with the motion; steps at whole pixels would bias every result towards
@@ -43,17 +44,19 @@ pub enum Rounding {
 /// same on every machine.
 struct PixelMap {
     rounding: Rounding,
-    /// Displacement by one pixel to the right.
+    /// `cos` and `sin`: the column and row by which the position moves for one pixel to the right.
     cos: i64,
     sin: i64,
-    /// Pixels to the right after which the row changes; 0 if it does not change within the width.
+    /// Number of pixels to the right after which the row changes by 2^-32, the unit of the fixed point; 0 if the row
+    /// does not change within the width.
     run: f64,
-    /// The position of pixel (0, 0), and the displacement by one pixel down.
+    /// `origin`: the position of pixel (0, 0). `down`: its displacement for one pixel down.
     origin: (i64, i64),
     down: (i64, i64),
 }
 
-/// The position of pixel 0 of a row, with the rounding offset of one of its words added.
+/// The column and row (in fixed point) of pixel 0 of a row of the grid, plus the rounding offset that applies to one
+/// word of 64 pixels of this row.
 struct Block(i64, i64);
 
 const ONE: f64 = 4_294_967_296.0;
@@ -69,11 +72,11 @@ impl PixelMap {
         PixelMap { rounding, cos: fixed(cos), sin, run, origin, down: (-sin, fixed(cos)) }
     }
 
-    /// The block of word `word` (64 pixels) of row `y`.
+    /// Returns the block for word `word` (64 pixels) of row `y`.
     #[inline]
     fn block(&self, word: usize, y: usize) -> Block {
-        // Offsets added before truncation. Multiples of powers of the plastic number, of sqrt 2 and of the golden ratio
-        // are evenly distributed along rows, along columns and over the plane.
+        // Offsets that are added to a position before it is truncated. Multiples of powers of the plastic number, of
+        // sqrt 2 and of the golden ratio are evenly distributed along rows, along columns and over the plane.
         let (half_x, half_y) = match self.rounding {
             Rounding::Nearest => (1 << 31, 1 << 31),
             Rounding::Dithered => {
@@ -86,8 +89,8 @@ impl PixelMap {
         Block(self.origin.0 + y * self.down.0 + half_x, self.origin.1 + y * self.down.1 + half_y)
     }
 
-    /// The run of pixels from `x`, at most to `end`, that map to adjacent pixels of one row: its end, and the column
-    /// and row of its first pixel.
+    /// Returns the end of a run of pixels from `x`, at most to `end`, that map to adjacent pixels of one row of the
+    /// frame; and the column and row to which its first pixel maps.
     #[inline]
     fn piece(&self, block: &Block, x: i64, end: i64) -> (i64, i64, i64) {
         let column = |x: i64| (block.0 + x * self.cos) >> 32;
@@ -98,7 +101,7 @@ impl PixelMap {
             let fraction = down & 0xFFFF_FFFF;
             let left = if self.sin > 0 { (1 << 32) - fraction } else { fraction + 1 };
             piece_end = end.min(x + 1 + (left as f64 * self.run) as i64);
-            // Rounding may make it one pixel too long.
+            // Rounding may make the run one pixel too long.
             if (block.1 + (piece_end - 1) * self.sin) >> 32 != row {
                 piece_end -= 1;
             }
@@ -114,8 +117,8 @@ impl ThresholdBitmaps {
     /// Warps these bitmaps to the grid of `onto`, which has the same size.
     ///
     /// Pixel (x, y) of `onto` becomes the pixel to which `motion` maps (x, y), rounded by `rounding`; it is excluded
-    /// where that is outside. Along a row of the grid the frame's row changes only every 1 / sin(angle) pixels, so that
-    /// each piece in between is a packed shift.
+    /// where that pixel is outside. Along a row of the grid, the row of the frame changes only every 1 / sin(angle)
+    /// pixels; each piece in between is copied by a shift of packed words.
     ///
     /// # Panics
     /// When the sizes differ.
@@ -154,8 +157,8 @@ mod tests {
     use crate::align::bitmaps::Bitmap;
     use crate::align::bitmaps::bitmap::tests::bitmaps;
 
-    /// The bitmaps of a frame as another grid sees them, pixel by pixel, with the places as they are computed by
-    /// `PixelMap`.
+    /// Returns the pixels of both bitmaps of `frame`, warped one by one: pixel (x, y) of the grid is the frame's pixel
+    /// `place(x, y)`.
     fn warped_by_pixel(frame: &ThresholdBitmaps, place: impl Fn(i64, i64) -> (i64, i64)) -> Vec<(bool, bool)> {
         let (width, height) = (frame.threshold.width() as i64, frame.threshold.height() as i64);
         let pixel = |i: i64| {
@@ -192,7 +195,8 @@ mod tests {
                             "{motion:?} at {x}, {y}"
                         );
                     }
-                    // The places themselves: within half a pixel and a pixel of the motion's, and 2^-32 for each step.
+                    // The positions are within half a pixel (nearest) or a pixel (dithered) of those by the motion,
+                    // plus a rounding error of 2^-32 px for each pixel along the row.
                     let (s, c) = (angle.sin(), angle.cos());
                     let most = if rounding == Rounding::Nearest { 0.5 } else { 1.0 } + 1e-6;
                     for (x, y) in [(0, 0), (229, 0), (100, 169)] {
@@ -209,7 +213,8 @@ mod tests {
 
     #[test]
     fn dithering_is_even() {
-        // A shift of 0.3 px goes to the next pixel in three words of ten, in any part of the picture.
+        // A shift of 0.3 px is rounded to 1 px in three words of ten, and to 0 px in the others, in any part of the
+        // picture.
         let places = PixelMap::new(&Motion { dx: 0.3, dy: 0.3, angle: 0.0 }, Rounding::Dithered, 64 * 36, 1700);
         let share = |words: std::ops::Range<usize>, rows: std::ops::Range<usize>| {
             let all: Vec<(i64, i64)> = rows
@@ -222,7 +227,7 @@ mod tests {
             let sum = all.iter().fold((0, 0), |s, p| (s.0 + p.0, s.1 + p.1));
             [sum.0 as f64 / all.len() as f64, sum.1 as f64 / all.len() as f64]
         };
-        // Sequences of this kind stray by some times ln n / n from even.
+        // In n elements of such a sequence, the share deviates from an even distribution by a few times ln n / n.
         for (words, rows, most) in
             [(0..36, 0..1700, 0.002), (5..6, 0..1700, 0.01), (0..36, 700..702, 0.06), (8..16, 300..310, 0.06)]
         {

@@ -1,6 +1,7 @@
 //! Detection of keypoints and matches that are found more than once.
 //!
-//! In: keypoints. Out: whether a keypoint of similar position and scale is known. Cost: a look-up in a map of squares.
+//! In: keypoints, or matches. Out: whether a similar keypoint or match is known already. Cost: nine look-ups in a map
+//! of squares.
 
 use crate::align::features::keypoint::Keypoint;
 use std::collections::BTreeMap;
@@ -12,7 +13,8 @@ fn square(k: &Keypoint) -> (i64, i64) {
     ((k.x / 2.0).floor() as i64, (k.y / 2.0).floor() as i64)
 }
 
-/// The values in the square of `point` and in its eight neighbours: includes all within two pixels.
+/// Returns the values in the square of `point` and in its eight neighbours. These include all values within two pixels
+/// of `point`.
 fn near<'a, T>(squares: &'a Squares<T>, point: &Keypoint) -> impl Iterator<Item = &'a T> {
     let (cx, cy) = square(point);
     let all = (cy - 1..=cy + 1).flat_map(move |y| (cx - 1..=cx + 1).map(move |x| (x, y)));
@@ -42,7 +44,7 @@ impl KeypointIndex {
     }
 }
 
-/// Matches, indexed by the position of the first keypoint.
+/// Matches (keypoint of the reference, keypoint of the frame), indexed by the position of the first.
 #[derive(Default)]
 pub(super) struct MatchIndex(Squares<(Keypoint, Keypoint)>);
 
@@ -60,6 +62,6 @@ impl MatchIndex {
     }
 }
 
-/// Largest distance of keypoints at the same position, in pixels of the level: about twice the error of a keypoint
-/// (`KEYPOINT_PX` of `estimation`).
+/// Keypoints up to this distance apart count as one position, in pixels of the level: about twice the error of a
+/// keypoint (`KEYPOINT_PX` of `estimation`).
 const ONE_PLACE: f32 = 1.5;

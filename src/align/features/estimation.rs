@@ -12,7 +12,8 @@ use crate::align::features::{
 use crate::align::transform::map;
 use nalgebra::Matrix3;
 
-/// The matches of all feature sets by the ratio test alone, in pixels of the full size.
+/// Returns the matches of all feature sets that pass the ratio test, without guided matching, in pixels of the full
+/// size.
 pub(crate) fn pairs(
     reference: &FeatureSets,
     frame: &FeatureSets,
@@ -22,10 +23,11 @@ pub(crate) fn pairs(
     Matches::new(reference, frame, to_full, ratio, None).pairs
 }
 
-/// The homography supported by the matches of all feature sets, and its inliers, in pixels of the full size.
+/// Returns the homography supported by the matches of all feature sets, and its inliers, in pixels of the full size.
 ///
-/// The matching is repeated near the positions that the first homography predicts: there, similar structure elsewhere
-/// no longer competes (Hartley & Zisserman 2004, algorithm 4.6). None if there is no consensus.
+/// The matching is repeated with only the keypoints near the positions that the first homography predicts, so that
+/// similar structure elsewhere no longer competes (Hartley & Zisserman 2004, algorithm 4.6). None if there is no
+/// consensus.
 pub(crate) fn by_matches(
     reference: &FeatureSets,
     frame: &FeatureSets,
@@ -51,7 +53,7 @@ pub(crate) fn by_matches(
     Some(matches.settle(best, pixel))
 }
 
-/// The homography that most of `pairs` support, estimated with `method`.
+/// Returns the homography that most of `pairs` support, estimated with `method`.
 pub(crate) fn agreed(pairs: &[PointPair], options: &RansacOptions, method: RobustMethod) -> Option<Consensus> {
     match method {
         RobustMethod::Ransac => ransac::search(pairs, options),
@@ -59,23 +61,24 @@ pub(crate) fn agreed(pairs: &[PointPair], options: &RansacOptions, method: Robus
     }
 }
 
-/// Fewest inliers for guided matching: fewer may agree by chance, and guided matching would confirm them.
+/// Least number of inliers for guided matching: fewer may agree by chance, and guided matching would confirm them.
 const LEAST_GUIDES: usize = 8;
-/// Search radius of the first guided matching, in pixels of the pyramid level: four times the default threshold of inliers.
+/// Search radius of the first guided matching, in pixels of the pyramid level: four times the default threshold of
+/// inliers.
 const WIDE_PX: f64 = 10.0;
-/// Search radius of the second guided matching, in pixels of the level.
+/// Search radius of the second guided matching, in pixels of the pyramid level.
 const NARROW_PX: f64 = 6.0;
 /// Standard deviation of the position of a keypoint of scale 1, in pixels of the level; it grows with the square root
 /// of the scale. Measured on rendered brackets.
 const KEYPOINT_PX: f64 = 0.6;
-/// Iterations of the reweighted fit.
+/// Number of iterations of the reweighted fit.
 const REFITS: usize = 8;
 
 /// The matches of all feature sets.
 pub(super) struct Matches {
     /// Positions of the matched keypoints, in pixels of the full size.
     pub(super) pairs: Vec<PointPair>,
-    /// The larger of the two scales of each pair, at least 1, in pixels of the level.
+    /// For each pair, the larger of the scales of its two keypoints, but at least 1; in pixels of the level.
     pub(super) scales: Vec<f64>,
 }
 
@@ -106,8 +109,8 @@ impl Matches {
 
     /// Fits the homography of `found` again to its inliers, weighted by their precision.
     ///
-    /// Positions of large keypoints are less precise, and distant inliers count less (weights of Geman & McClure).
-    /// `pixel` is the width of a pixel of the level, in pixels of the full size.
+    /// Positions of large keypoints are less precise. Inliers far from their predicted positions count less (weights of
+    /// Geman & McClure). `pixel` is the width of a pixel of the level, in pixels of the full size.
     pub(super) fn settle(&self, found: Consensus, pixel: f64) -> Consensus {
         let right: Vec<PointPair> = found.inliers.iter().map(|&i| self.pairs[i]).collect();
         let squares = |h: &Matrix3<f64>| -> Vec<f64> { right.iter().map(|p| distance_squared(h, p)).collect() };

@@ -28,10 +28,12 @@ impl Detector {
         }
     }
 
-    /// The detector for bitmaps. A bitmap is not doubled: its only detail below a pixel is the staircase of its edges.
+    /// Returns the detector for bitmaps, which are not doubled: their only detail smaller than a pixel is the staircase
+    /// of their edges.
     ///
-    /// SURF's boxes respond to these edges, too: its threshold is that for twice the contrast, and half as many keypoints
-    /// are found. The determinant grows with the square of the contrast.
+    /// SURF's box filters respond to this staircase, too. Therefore SURF must find twice the contrast in a bitmap: its
+    /// threshold is four times as large, because the determinant grows with the square of the contrast. This halves the
+    /// number of keypoints.
     fn for_bitmaps(&self) -> Self {
         match self {
             Detector::Sift(options) => Detector::Sift(SiftOptions { double: false, ..options.clone() }),
@@ -52,13 +54,13 @@ pub(crate) struct FeatureSets {
 }
 
 impl FeatureSets {
-    /// The keypoints of all bitmaps; a keypoint of several bitmaps is listed once.
+    /// Returns the keypoints of all bitmaps; a keypoint of several bitmaps is listed once.
     pub(crate) fn of_bitmaps(&self) -> Vec<Keypoint> {
         additional(&[], &self.mtb)
     }
 }
 
-/// The keypoints of `sets` that are neither in `known` nor in an earlier set.
+/// Returns the keypoints of `sets` that are neither in `known` nor in an earlier set.
 fn additional(known: &[Keypoint], sets: &[Features]) -> Vec<Keypoint> {
     let mut index = KeypointIndex::default();
     index.add(known);
@@ -70,20 +72,20 @@ fn additional(known: &[Keypoint], sets: &[Features]) -> Vec<Keypoint> {
     found
 }
 
-/// For each of `points`, whether `others` has the same keypoint: within a pixel, and of similar scale.
+/// Returns, for each of `points`, whether `others` has the same keypoint: within a pixel, and of similar scale.
 pub(crate) fn found_among(points: &[Keypoint], others: &[Keypoint]) -> Vec<bool> {
     let mut index = KeypointIndex::default();
     index.add(others);
     points.iter().map(|k| index.has(k)).collect()
 }
 
-/// Percentiles of the bitmaps' thresholds: Ward's 17, 50 and 83, the two between them, and one beyond each end.
+/// Percentiles of the bitmaps' thresholds: Ward's 17, 50 and 83, two between these, and one beyond each end.
 pub(super) const PERCENTILES: [u64; 7] = [6, 17, 33, 50, 67, 83, 94];
 
 /// Standard deviation of the smoothing before the threshold, in pixels: removes noise from the edges of the bitmap.
 const SMOOTHING: f64 = 0.7;
 
-/// The features of a frame on level `level` of its pyramid.
+/// Detects the features of a frame on level `level` of its pyramid.
 pub(crate) fn features(pyramid: &GreyPyramid, level: usize, detector: &Detector, exclusion: u8) -> FeatureSets {
     let grey = pyramid.level(level);
     let smooth = smoothed(grey);
@@ -98,15 +100,15 @@ pub(crate) fn features(pyramid: &GreyPyramid, level: usize, detector: &Detector,
     FeatureSets { counts: count(&plain, &mtb), plain, mtb }
 }
 
-/// `grey` as floats, smoothed against noise.
+/// Returns `grey` as floats, smoothed against noise.
 pub(super) fn smoothed(grey: &Plane<u8>) -> Plane<f32> {
     gaussian(&grey.map(f32::from), SMOOTHING)
 }
 
-/// Histogram bins for one grey value: in a dark frame all percentiles may lie within two or three grey values.
+/// Number of histogram bins per grey value: in a dark frame all percentiles may lie within two or three grey values.
 const STEPS: f32 = 16.0;
 
-/// The grey value at each of [`PERCENTILES`].
+/// Returns the grey value at each of [`PERCENTILES`].
 pub(super) fn thresholds(smooth: &Plane<f32>) -> [f32; PERCENTILES.len()] {
     let mut counts = [0u64; 256 * STEPS as usize];
     let most = counts.len() - 1;
@@ -124,10 +126,10 @@ pub(super) fn thresholds(smooth: &Plane<f32>) -> [f32; PERCENTILES.len()] {
     })
 }
 
-/// The bitmap at `threshold` as a grey image: black below the threshold, white above it.
+/// Returns the bitmap at `threshold` as a grey image: black below the threshold, white above it.
 ///
-/// Within half of `exclusion` to either side, where noise would decide (Ward's exclusion bitmap), it is a linear ramp:
-/// noise causes little contrast there, and edges keep their positions.
+/// Grey values within `exclusion` / 2 of the threshold, where noise would decide, become a linear ramp instead (Ward
+/// excludes them): there noise causes little contrast, and edges keep their positions.
 pub(super) fn bitmap(smooth: &Plane<f32>, threshold: f32, exclusion: u8) -> Plane<u8> {
     let slope = 255.0 / f32::from(exclusion.max(1));
     Plane::from_rows(smooth.width(), smooth.height(), |y, row| {

@@ -5,8 +5,8 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-/// The offset of the extremum from the middle sample, in samples (columns, rows, scales), and its value; none if the
-/// quadratic has no single extremum.
+/// Returns the offset of the extremum from the middle sample, in samples (columns, rows, scales), and the value there;
+/// none if the quadratic has no single extremum.
 ///
 /// `sample` returns the sample at an offset of -1, 0 or 1 in each direction.
 pub(super) fn extremum(sample: impl Fn(isize, isize, isize) -> f64) -> Option<(Vector3<f64>, f64)> {

@@ -5,30 +5,32 @@
 pub struct Keypoint {
     /// Column in pixels of the image; (0, 0) is the centre of the top-left pixel.
     pub x: f32,
-    /// Row, see `x`.
+    /// Row in pixels of the image, with the same origin as `x`.
     pub y: f32,
-    /// Standard deviation of the Gaussian at which it was found (of SURF: that its box filters approximate), in pixels.
+    /// Standard deviation of the Gaussian at which the keypoint was found, in pixels; for SURF, of the Gaussian that
+    /// the box filters approximate.
     pub scale: f32,
     /// Dominant direction of the gradients, from +x towards +y, in radians, -pi..=pi.
     pub angle: f32,
-    /// Strength of the extremum for grey values 0..=1: |D| of SIFT, the determinant of the Hessian of SURF.
+    /// Strength of the extremum for grey values 0..=1: for SIFT |D| (D is the difference of Gaussians), for SURF the
+    /// determinant of the Hessian.
     pub response: f32,
-    /// Whether it is brighter than its surroundings (otherwise it is darker).
+    /// Whether the point is brighter than its surroundings; otherwise it is darker.
     pub bright: bool,
 }
 
-/// The surroundings of a keypoint by SIFT: 4 x 4 histograms of 8 gradient directions.
+/// Descriptor of a keypoint's surroundings by SIFT: 4 x 4 histograms of 8 gradient directions.
 pub type SiftDescriptor = [u8; 128];
 
-/// The surroundings of a keypoint by SURF: 4 x 4 sums of dx, |dx|, dy and |dy|.
+/// Descriptor of a keypoint's surroundings by SURF: for each of 4 x 4 cells the sums of dx, |dx|, dy and |dy|.
 pub type SurfDescriptor = [i8; 64];
 
 /// The descriptors of one image, in the order of its keypoints.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Descriptors {
-    /// Of SIFT.
+    /// Descriptors of SIFT.
     Sift(Vec<SiftDescriptor>),
-    /// Of SURF. Their distances are not comparable with those of SIFT.
+    /// Descriptors of SURF, whose distances are not comparable with those of SIFT.
     Surf(Vec<SurfDescriptor>),
 }
 

@@ -1,10 +1,10 @@
 //! Matching of descriptors.
 //!
 //! In: the [`Features`] of two images. Out: [`Match`]es that are mutual nearest neighbours and pass the ratio test.
-//! Cost: 128 multiply-adds (64 for SURF) for every pair of keypoints that may match. That is about one pair in ten: a hand-held camera
-//! hardly rotates or zooms, and a point brighter than its surroundings is so at any exposure. Source: Lowe, "Distinctive
-//! Image Features from Scale-Invariant Keypoints", IJCV 60(2), 2004, section 7.1 (ratio of the nearest to the second
-//! nearest).
+//! Cost: 128 multiply-adds (64 for SURF) for every pair of keypoints that may match. That is about one pair in ten: a
+//! hand-held camera hardly rotates or zooms, and a point brighter than its surroundings is so at any exposure. Source:
+//! Lowe, "Distinctive Image Features from Scale-Invariant Keypoints", IJCV 60(2), 2004, section 7.1 (ratio of the
+//! nearest to the second nearest).
 
 use crate::align::features::{Descriptors, Features, Keypoint, sift, surf};
 use crate::align::transform::map;
@@ -15,7 +15,7 @@ use std::f32::consts::PI;
 /// Indices of two keypoints with similar descriptors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Match {
-    /// In the reference's features.
+    /// Index in the features of the reference.
     pub reference: usize,
     /// Index in the features of the frame.
     pub frame: usize,
@@ -30,11 +30,13 @@ pub struct Guide {
     pub radius: f64,
 }
 
-/// The mutual nearest neighbours that pass the ratio test.
+/// Returns the pairs of keypoints whose descriptors are mutual nearest neighbours and pass the ratio test.
 ///
-/// The nearest neighbour must be nearer than `ratio` times the second nearest of the reference's keypoint. With a
-/// `guide` only neighbours near the predicted position are candidates. Candidates are both bright or both dark, differ
-/// in direction by at most 45 degrees (some by up to 67.5, due to binning), and in scale by at most a factor of two.
+/// In the ratio test, the distance from a keypoint of the reference to the nearest candidate in the frame must be less
+/// than `ratio` times the distance to the second nearest. A candidate and the keypoint of the reference must both be
+/// brighter, or both darker, than their surroundings. Their directions differ by at most 45 degrees (some by up to
+/// 67.5, due to binning), and their scales by at most a factor of two. With a `guide`, a candidate must also be near
+/// the predicted position.
 ///
 /// Features of different detectors have no matches.
 pub fn match_mutual(reference: &Features, frame: &Features, ratio: f64, guide: Option<&Guide>) -> Vec<Match> {
@@ -46,7 +48,8 @@ pub fn match_mutual(reference: &Features, frame: &Features, ratio: f64, guide: O
     }
 }
 
-/// [`match_mutual`] for the points and descriptors of the reference and the frame; `length` is that of a descriptor.
+/// [`match_mutual`] for the points and descriptors of the reference and the frame; `length` is the Euclidean length of
+/// a descriptor.
 fn matches<T: Copy + Into<i16> + Sync, const N: usize>(
     (points, frame_points): (&[Keypoint], &[Keypoint]),
     (descriptors, frame_descriptors): (&[[T; N]], &[[T; N]]),
@@ -90,7 +93,7 @@ fn matches<T: Copy + Into<i16> + Sync, const N: usize>(
             found
         })
         .collect();
-    // The nearest reference keypoint of each of the frame's keypoints; the first of equals.
+    // For each keypoint of the frame, the nearest keypoint of the reference; of equally near ones the first.
     let mut nearest_references = vec![NO_REFERENCE; frame_points.len()];
     for chunk in &chunks {
         for (best, nearest_reference) in nearest_references.iter_mut().zip(&chunk.nearest_references) {
@@ -107,11 +110,12 @@ fn matches<T: Copy + Into<i16> + Sync, const N: usize>(
         .collect()
 }
 
-/// Result of one task.
+/// The result of one task, which searches for some keypoints of the reference.
 struct Chunk {
-    /// For each of its reference keypoints, the index in the table of the nearest frame keypoint, if unambiguous.
+    /// For each keypoint of the reference in the task, the index in the table of the frame's nearest keypoint, if that
+    /// is unambiguous.
     nearest: Vec<Option<usize>>,
-    /// For each keypoint of the table, the nearest of the task's reference keypoints.
+    /// For each keypoint of the table, the nearest of the keypoints of the reference in the task.
     nearest_references: Vec<NearestReference>,
 }
 
@@ -124,17 +128,17 @@ struct NearestReference {
 
 const NO_REFERENCE: NearestReference = NearestReference { point: u32::MAX, distance: i32::MAX };
 
-/// Reference keypoints per task.
+/// Number of keypoints of the reference per task.
 const CHUNK: usize = 64;
 
-/// Bins of directions by which the table is ordered: 22.5 degrees each.
+/// Number of bins of directions, of 22.5 degrees each, by which the table is ordered.
 const TURNS: usize = 16;
 /// Largest difference in direction between matching keypoints, in bins.
 const MOST_TURNS: usize = 2;
 /// Largest ratio of scales of matching keypoints.
 const MOST_ZOOM: f32 = 2.0;
 
-/// The bin of a direction.
+/// Returns the index of the bin of the direction `angle`.
 fn turn(angle: f32) -> usize {
     ((angle + PI) * (TURNS as f32 / (2.0 * PI))) as usize % TURNS
 }
@@ -150,11 +154,11 @@ fn may_match(a: &Keypoint, b: &Keypoint) -> bool {
 
 /// The frame's features, ordered so that the candidates for a keypoint (see [`may_match`]) are a few ranges.
 struct Table<const N: usize> {
-    /// Index in the frame's features.
+    /// For each keypoint of the table, its index in the frame's features.
     order: Vec<usize>,
     points: Vec<Keypoint>,
     descriptors: Vec<WideDescriptor<N>>,
-    /// Start of each bin (dark or bright, and direction), and the end.
+    /// Index of the first keypoint of each bin (dark or bright, and direction), and the number of all keypoints.
     starts: [usize; 2 * TURNS + 1],
 }
 
@@ -173,7 +177,7 @@ impl<const N: usize> Table<N> {
         Table { order, points, descriptors, starts }
     }
 
-    /// Ranges of the table with the candidates for `point`.
+    /// Returns the ranges of the table that contain the candidates for `point`.
     fn candidates(&self, point: &Keypoint) -> [std::ops::Range<usize>; 2 * MOST_TURNS + 1] {
         let kind = usize::from(point.bright) * TURNS;
         std::array::from_fn(|k| {
@@ -199,13 +203,13 @@ impl<const N: usize> WideDescriptor<N> {
         WideDescriptor { square: dot(&values, &values), values }
     }
 
-    /// Squared Euclidean distance.
+    /// Returns the squared Euclidean distance.
     fn distance_squared(&self, other: &Self) -> i32 {
         self.square + other.square - 2 * dot(&self.values, &other.values)
     }
 }
 
-/// Scalar product of two descriptors. Eight partial sums let the compiler use vectors of eight.
+/// Returns the scalar product of two descriptors. Eight partial sums let the compiler use vectors of eight.
 #[inline]
 fn dot<const N: usize>(a: &[i16; N], b: &[i16; N]) -> i32 {
     let mut sums = [0i32; 8];
@@ -217,9 +221,9 @@ fn dot<const N: usize>(a: &[i16; N], b: &[i16; N]) -> i32 {
     sums.iter().sum()
 }
 
-/// Search for the frame keypoint nearest to a reference keypoint.
+/// A search for the frame's keypoint that is nearest to one keypoint of the reference.
 ///
-/// It also updates the nearest reference keypoint of every frame keypoint that is compared.
+/// The search also updates, for every keypoint of the frame that it compares, the nearest keypoint of the reference.
 struct Nearest<'a, const N: usize> {
     point: u32,
     descriptor: &'a WideDescriptor<N>,
@@ -246,16 +250,18 @@ impl<const N: usize> Nearest<'_, N> {
         }
     }
 
-    /// The nearest keypoint, if it passes the ratio test; equal distances do not.
+    /// Returns the nearest keypoint, if it passes the ratio test and its squared distance is at most `farthest`. Two
+    /// nearest keypoints at the same distance do not pass the ratio test.
     fn if_unambiguous(&self, ratio: f64, farthest: i32) -> Option<usize> {
         let clear = self.second == i32::MAX || f64::from(self.first) < ratio * ratio * f64::from(self.second);
         self.at.filter(|_| clear && self.first <= farthest)
     }
 }
 
-/// Largest squared distance of matching descriptors, even without a competitor, in squared lengths of a descriptor.
+/// Largest squared distance of matching descriptors, in squared lengths of a descriptor; it applies even if there is no
+/// second candidate.
 ///
-/// The distance is 2/3 of that of uncorrelated descriptors, which is sqrt(2) lengths.
+/// Uncorrelated descriptors have a distance of sqrt(2) lengths; 2/3 of that are allowed.
 const FARTHEST: f32 = 2.0 * 4.0 / 9.0;
 
 /// Indices of the frame's keypoints, by square cells as wide as the guide's radius.
@@ -280,7 +286,7 @@ impl Grid {
         Grid { cell, columns, rows, cells }
     }
 
-    /// The keypoints in the cells around (x, y): includes all within the radius.
+    /// Returns the keypoints in the cells around (x, y); they include all within the guide's radius.
     fn near(&self, x: f64, y: f64) -> impl Iterator<Item = usize> {
         let around = |v: f64, count: i64| {
             let cell = (v / self.cell).floor() as i64;
@@ -358,7 +364,7 @@ mod tests {
             f
         };
         let (a, b) = (coarse(0..150), coarse(100..260));
-        // A few directions, scales and kinds, on both sides of the limits of `may_match`.
+        // Directions, scales, and bright and dark keypoints, on both sides of the limits of `may_match`.
         let turned = |mut f: Features, by: usize| {
             for (i, k) in f.keypoints.iter_mut().enumerate() {
                 k.angle = ((i * by % 40) as f32 / 20.0 - 1.0) * PI;
@@ -368,7 +374,7 @@ mod tests {
             f
         };
         for (a, b, least) in [(a.clone(), b.clone(), 20), (turned(a, 3), turned(b, 11), 20)] {
-            // By the definition, in exact integers.
+            // The expected matches follow from the definition, in exact integers.
             let d = |i: usize, j: usize| -> i32 {
                 if !may_match(&a.keypoints[i], &b.keypoints[j]) {
                     return i32::MAX;

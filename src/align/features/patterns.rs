@@ -9,7 +9,10 @@ pub(super) fn blobs(width: usize, height: usize, list: &[(f64, f64, f64, f64)]) 
         for (x, v) in row.iter_mut().enumerate() {
             let sum: f64 = list
                 .iter()
-                .map(|&(cx, cy, s, h)| h * (-((x as f64 - cx).powi(2) + (y as f64 - cy).powi(2)) / (2.0 * s * s)).exp())
+                .map(|&(cx, cy, s, h)| {
+                    let (dx, dy) = (x as f64 - cx, y as f64 - cy);
+                    h * libm::exp(-(dx * dx + dy * dy) / (2.0 * s * s))
+                })
                 .sum();
             *v = (110.0 + sum).round() as u8;
         }

@@ -7,9 +7,9 @@ use crate::align::features::Keypoint;
 /// Number of cells along the long side of the image.
 const CELLS: usize = 12;
 
-/// At most `most` of `all`: the strongest of each cell of the image, so that all of it is covered.
+/// Returns at most `most` of `all`: the strongest of each cell of the image, so that the whole image is covered.
 ///
-/// What cells with few keypoints do not use, the others do. `points` are the keypoints of `all`, in the same order.
+/// If some cells have few keypoints, more are kept of the others. `points[i]` is the keypoint of `all[i]`.
 pub(super) fn strongest<T>(all: Vec<T>, points: &[Keypoint], (width, height): (usize, usize), most: usize) -> Vec<T> {
     if all.len() <= most {
         return all;
@@ -37,7 +37,7 @@ pub(super) fn strongest<T>(all: Vec<T>, points: &[Keypoint], (width, height): (u
     all.into_iter().zip(keep).filter_map(|(item, keep)| keep.then_some(item)).collect()
 }
 
-/// Keypoints with their descriptors, sorted by position, so that their order does not depend on threads.
+/// Sorts keypoints, with their descriptors, by position, so that their order does not depend on threads.
 pub(super) fn by_position<D>(mut all: Vec<(Keypoint, D)>) -> Vec<(Keypoint, D)> {
     all.sort_by(|(a, _), (b, _)| {
         a.y.total_cmp(&b.y)

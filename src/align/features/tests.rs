@@ -62,13 +62,13 @@ fn either_robust_method_finds_the_motion() {
         let off = Transform::Homography(found.homography).corner_distance(&perspective(), SIZE.0, SIZE.1);
         assert!(off < 0.5 && found.inliers.len() > 100, "{off} px, {}", found.inliers.len());
     }
-    // The radius of LMedS differs from the threshold of RANSAC.
+    // LMedS accepts inliers within another distance than RANSAC.
     assert_ne!(ransac.inliers, lmeds.inliers);
 }
 
 #[test]
 fn noise_about_a_threshold_makes_few_points() {
-    // A uniform surface with noise, half above its median and half below.
+    // A uniform surface with noise: half of its pixels are above the median, and half below.
     let flat = |_: f64, _: f64| 1.0;
     let shot = Shot { ev: 0.0, noise: 1.0, seed: 5 };
     let noise = crate::align::scene::photograph(SIZE, &Transform::Identity, shot, flat);
@@ -86,7 +86,8 @@ fn thresholds_split_the_pixels_at_their_percentile() {
     let total = smooth.as_slice().len() as f64;
     for (percent, t) in PERCENTILES.iter().zip(thresholds(&smooth)) {
         let below = smooth.as_slice().iter().filter(|v| **v <= t).count() as f64 / total;
-        // A sixteenth of a grey value contains at most a few percent of the pixels of a dark frame.
+        // A bin of the histogram, a sixteenth of a grey value, contains at most a few percent of the pixels of a dark
+        // frame.
         assert!((below - *percent as f64 / 100.0).abs() < 0.03, "{percent}: {below}");
     }
 }
@@ -120,7 +121,7 @@ fn points_found_twice_are_counted_once() {
 
 #[test]
 fn pair_found_twice_is_one_match() {
-    // A bitmap has the same keypoint as the grey image, some tenths of a pixel away, in both frames.
+    // In both frames, the bitmap has the same keypoint as the grey image, some tenths of a pixel away.
     let sets = |x: f32, y: f32, mtb: (f32, f32)| FeatureSets {
         plain: keypoints(&[(x, y, 2.0)]),
         mtb: vec![keypoints(&[(x + mtb.0, y + mtb.1, 2.0)])],
@@ -132,7 +133,7 @@ fn pair_found_twice_is_one_match() {
     for tenth in 0..40 {
         let at = 100.0 + 0.1 * tenth as f32;
         assert_eq!(count(at, [(0.4, -0.3), (0.5, 0.2)]), 1, "{at}");
-        // Another position in the reference, or in the frame.
+        // The keypoint of the bitmap is at another position in the reference, or in the frame: two matches.
         assert_eq!(count(at, [(2.0, 0.0), (0.0, 0.0)]), 2, "{at}");
         assert_eq!(count(at, [(0.0, 0.0), (0.0, -2.0)]), 2, "{at}");
     }

@@ -9,9 +9,10 @@ use crate::error::Result;
 /// The brightness of a frame and the detail in it.
 #[derive(Debug)]
 pub(crate) struct Content {
-    /// Stops by which its grey values are brightened, so that rounding and halving keep the detail of a dark frame.
+    /// Stops by which the grey values of a dark frame are brightened before they are rounded and averaged, so that its
+    /// detail is kept; none if the frame is not dark.
     pub(crate) brightening_stops: Option<u32>,
-    /// Whether nearly all pixels have the same tone.
+    /// Whether nearly all pixels have nearly the same grey value.
     pub(crate) is_uniform: bool,
     /// The pixels that are neither black nor white.
     pub(crate) detail: Detail,
@@ -22,7 +23,7 @@ impl Content {
         let histogram = Histogram::of_rows((whole.width(), whole.height()), |y, row| whole.grey_row(y, None, row));
         let (nearly_least, nearly_most) =
             (histogram.value_at(Percentile::new(1)), histogram.value_at(Percentile::new(99)));
-        // The brightest percent may clip: edges of lamps remain.
+        // The brightest percent may clip: lamps lose their detail, but keep their edges.
         let brightening_stops = Some(nearly_most.leading_zeros().min(MOST_BRIGHTENING))
             .filter(|&brightening_stops| brightening_stops >= LEAST_BRIGHTENING);
         Content {
@@ -38,7 +39,7 @@ impl Content {
 pub(crate) struct Detail {
     /// Whether the frame is mostly white: its detail is darker than white.
     pub(crate) is_white: bool,
-    /// The least grey value with detail, or the largest in a white frame, after
+    /// The least grey value that counts as detail, or the largest in a white frame, after
     /// [brightening](Content::brightening_stops).
     pub(crate) value: u8,
     /// The share of the pixels with detail, 0..=1.
@@ -46,10 +47,11 @@ pub(crate) struct Detail {
 }
 
 impl Detail {
-    /// The detail of a frame whose 1st and 99th percentiles are `least` and `most`, brightened by `brightening_stops`.
+    /// Returns the detail of a frame whose 1st and 99th percentiles are `least` and `most`, brightened by
+    /// `brightening_stops`.
     fn of(histogram: &Histogram, (least, most): (u8, u8), brightening_stops: Option<u32>) -> Self {
         let brightened = |value: u8| (u32::from(value) << brightening_stops.unwrap_or(0)).min(u8::MAX.into()) as u8;
-        // The black of film and sensors may be above 0, so it is taken from the frame.
+        // The black of film and sensors may be above 0, so the darkest percent of the frame defines it.
         if histogram.value_at(Percentile::new(50)) > u8::MAX / 2 {
             let value = most.saturating_sub(NEARLY_UNIFORM + 1);
             Detail { is_white: true, value: brightened(value), share: histogram.share(0..=value) }
@@ -60,7 +62,7 @@ impl Detail {
     }
 }
 
-/// The content of `frame` and its grey pyramid, without the full size of a large frame.
+/// Returns the content of `frame` and its grey pyramid; that of a large frame lacks the full size.
 pub(crate) fn content_and_pyramid(frame: &Frame) -> Result<(Content, GreyPyramid)> {
     let whole = frame.whole()?;
     let content = Content::of(&whole);
@@ -69,7 +71,7 @@ pub(crate) fn content_and_pyramid(frame: &Frame) -> Result<(Content, GreyPyramid
     Ok((content, pyramid))
 }
 
-/// Largest range of grey values that may be noise alone.
+/// Largest difference of grey values that noise alone may cause.
 const NEARLY_UNIFORM: u8 = 7;
 /// Least brightening, in stops: less is not worth the time.
 const LEAST_BRIGHTENING: u32 = 2;

@@ -5,8 +5,8 @@
 use crate::plane::Plane;
 use std::ops::RangeInclusive;
 
-/// The percentile of the grey values used as threshold: the median, or another where the median is too extreme (Ward:
-/// the 17th or 83rd).
+/// The percentile of the grey values that is used as threshold: the median, or another percentile where the median is
+/// too dark or too bright (Ward: the 17th or 83rd).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 pub struct Percentile(pub(crate) u8);
 
@@ -39,14 +39,16 @@ impl Percentile {
 pub struct Histogram(pub(crate) [u64; 256]);
 
 impl Histogram {
-    /// The histogram of `plane`. Of a large plane, evenly spaced rows with about `COUNTED` pixels are counted.
+    /// The histogram of `plane`. Of a large plane, only evenly spaced rows with about `COUNTED` pixels in all are
+    /// counted.
     pub fn of(plane: &Plane<u8>) -> Self {
         let mut counts = Counts::default();
         counted_rows((plane.width(), plane.height())).for_each(|y| counts.add(plane.row(y)));
         counts.sum()
     }
 
-    /// The histogram of a picture of this size whose rows are computed by `fill`, counted as by [`of`](Self::of).
+    /// The histogram of a picture of this size whose rows are computed by `fill`; the same rows are counted as by
+    /// [`of`](Self::of).
     pub fn of_rows((width, height): (usize, usize), fill: impl Fn(usize, &mut [u8])) -> Self {
         let (mut counts, mut row) = (Counts::default(), vec![0; width]);
         for y in counted_rows((width, height)) {
@@ -60,7 +62,7 @@ impl Histogram {
         self.0.iter().sum()
     }
 
-    /// The least grey value that at least `percentile` of the pixels do not exceed.
+    /// Returns the least grey value v for which at least `percentile` percent of the pixels are v or darker.
     pub fn value_at(&self, percentile: Percentile) -> u8 {
         let wanted = (self.total() * u64::from(percentile.0)).div_ceil(100).max(1);
         let mut below = 0;
@@ -73,17 +75,18 @@ impl Histogram {
         u8::MAX
     }
 
-    /// The share of the pixels below `value`, which may be 256.
+    /// Returns the share of the pixels darker than `value`, which may be 256.
     pub(crate) fn share_below(&self, value: usize) -> f64 {
         self.0[..value].iter().sum::<u64>() as f64 / self.total().max(1) as f64
     }
 
-    /// The share of the pixels at `values`.
+    /// Returns the share of the pixels whose grey value is in `values`.
     pub fn share(&self, values: RangeInclusive<u8>) -> f64 {
         values.map(|value| self.0[usize::from(value)]).sum::<u64>() as f64 / self.total().max(1) as f64
     }
 
-    /// The value, up to 256, below which the share is nearest to `share`; the lowest of several.
+    /// Returns the value v, 0..=256, for which the share of the pixels darker than v is nearest to `share`; of several
+    /// the lowest.
     pub(crate) fn value_of_share(&self, share: f64) -> usize {
         let wanted = share * self.total() as f64;
         let mut below = 0u64;
@@ -99,12 +102,13 @@ impl Histogram {
     }
 }
 
-/// The rows of a picture of this size that are counted.
+/// Returns the rows that are counted of a picture of this size.
 fn counted_rows((width, height): (usize, usize)) -> impl Iterator<Item = usize> {
     (0..height).step_by((width * height / COUNTED).max(1))
 }
 
-/// Four tables of counts, so that equal neighbouring pixels do not depend on each other's increment.
+/// Four tables of counts, used in turn: neighbouring pixels of equal value then increment different tables, so no
+/// increment waits for another.
 struct Counts([[u32; 256]; 4]);
 
 impl Default for Counts {
@@ -131,7 +135,8 @@ impl Counts {
     }
 }
 
-/// Approximate number of pixels counted for a histogram: percentiles are off by less than a tenth of a percent.
+/// Approximate number of pixels counted for a histogram: enough for percentiles with an error of less than a tenth of a
+/// percent.
 const COUNTED: usize = 1 << 20;
 
 #[cfg(test)]

@@ -9,15 +9,15 @@ use crate::plane::Plane;
 use crate::pyramid;
 use std::sync::OnceLock;
 
-/// Least short side of the coarsest level, in pixels: large enough for structure in a bitmap, small enough to search
-/// every shift.
+/// Least length of the short side of the coarsest level, in pixels: large enough for a bitmap to have structure, small
+/// enough to try every shift.
 pub(crate) const COARSEST: usize = 32;
 
 /// The grey pyramid of a frame, the largest level first. The histogram of each level is computed on first use.
 #[derive(Debug, Clone)]
 pub struct GreyPyramid {
     size: (usize, usize),
-    /// Number of the largest levels that are not kept.
+    /// Number of levels that are not kept: the largest ones.
     passed: usize,
     levels: Vec<(Plane<u8>, OnceLock<Histogram>)>,
 }
@@ -49,13 +49,13 @@ impl GreyPyramid {
         Self::kept(size, 1, half)
     }
 
-    /// The pyramid without its `passed` largest levels; `first` is the largest that is kept.
+    /// Returns the pyramid without its `passed` largest levels; `first` is the largest level that is kept.
     fn kept(size: (usize, usize), passed: usize, first: Plane<u8>) -> Self {
         let levels = pyramid::halves(first, COARSEST).into_iter().map(|p| (p, OnceLock::new())).collect();
         GreyPyramid { size, passed, levels }
     }
 
-    /// Level `i`, 0 the largest.
+    /// Returns level `i`; level 0 is the largest.
     ///
     /// # Panics
     /// If there is no such level, or it was not kept.
@@ -83,7 +83,8 @@ impl GreyPyramid {
         self.levels.is_empty()
     }
 
-    /// The first level whose short side is less than `side` pixels; the coarsest if none is.
+    /// Returns the index of the largest level whose short side is less than `side` pixels; that of the coarsest if
+    /// there is none.
     pub(crate) fn level_narrower_than(&self, side: usize) -> usize {
         (0..self.len()).find(|&i| self.size(i).0.min(self.size(i).1) < side).unwrap_or(self.len() - 1)
     }
@@ -95,29 +96,29 @@ impl GreyPyramid {
     }
 }
 
-/// Most pixels of the largest level searched. On photographs of 12 MP the median error was 0.038 px with this limit,
-/// and
-/// 0.033 px on the full size, which takes four times as long.
+/// Largest number of pixels of a level on which a motion is searched. On photographs of 12 MP the median error was
+/// 0.038 px with this limit, and 0.033 px on the full size, which takes four times as long.
 pub const ENOUGH_PIXELS: usize = Demand::WHOLE_PYRAMID as usize;
 
-/// Most pixels of the level on which agreement is measured and features are detected.
+/// Largest number of pixels of the level on which agreement is measured and features are detected.
 const MEASURED_PIXELS: usize = Demand::MEASURED_PIXELS as usize;
 
-/// Most pixels of the finest level of the refinement: more take time without any gain.
+/// Largest number of pixels of the finest level of the refinement: a larger level takes more time without any gain.
 const REFINED_PIXELS: usize = 4_000_000;
 
-/// The first level of `pyramid` with at most `pixels` pixels; the coarsest if none has.
+/// Returns the index of the largest level of `pyramid` with at most `pixels` pixels; that of the coarsest if there is
+/// none.
 pub(crate) fn level_within(pyramid: &GreyPyramid, pixels: usize) -> usize {
     let area = |(width, height): (usize, usize)| width * height;
     (0..pyramid.len()).find(|&i| area(pyramid.size(i)) <= pixels).unwrap_or(pyramid.len() - 1)
 }
 
-/// The level on which agreement is measured and features are detected.
+/// Returns the index of the level on which agreement is measured and features are detected.
 pub fn measured_level(pyramid: &GreyPyramid) -> usize {
     level_within(pyramid, MEASURED_PIXELS)
 }
 
-/// The finest level of the refinement.
+/// Returns the index of the finest level of the refinement.
 pub fn finest_level(pyramid: &GreyPyramid) -> usize {
     level_within(pyramid, REFINED_PIXELS)
 }

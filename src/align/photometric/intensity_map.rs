@@ -2,12 +2,12 @@
 //!
 //! In: pairs of grey values of two frames, roughly aligned. Out: a monotone [`IntensityMap`]. Cost: one pass over the
 //! pairs. Source: Grossberg & Nayar, "Determining the Camera Response from Images: What Is Knowable?", PAMI 25(11),
-//! 2003, section 5: two exposures of one scene have the same ranks, so the map follows from the two histograms, and
-//! small misalignments do not matter.
+//! 2003, section 5: two exposures of one scene have the same order of grey values, so the map follows from the two
+//! histograms, and small misalignments do not matter.
 
-/// Number of stored grey values of the reference.
+/// Number of entries of the map: one for each grey value of the first frame.
 const KNOTS: usize = 256;
-/// Half of the interval for slopes, in grey values.
+/// Half the length of the interval over which a slope is measured, in grey values.
 const SLOPE_REACH: f32 = 4.0;
 
 /// A monotone map of grey values 0..=255 from the first frame of the samples to the second.
@@ -17,8 +17,8 @@ pub struct IntensityMap {
 }
 
 impl IntensityMap {
-    /// The map from the distribution of the first values to that of the second values; the identity if there are no
-    /// samples.
+    /// Returns the map that turns the distribution of the first values of the pairs into that of the second values; the
+    /// identity if there are no samples.
     pub fn from_samples(samples: &[(u8, u8)]) -> Self {
         if samples.is_empty() {
             return IntensityMap { values: (0..KNOTS).map(|v| v as f32).collect() };
@@ -28,7 +28,8 @@ impl IntensityMap {
             reference[usize::from(r)] += 1;
             frame[usize::from(f)] += 1;
         }
-        // For each value that occurs, the second frame's value at its middle rank.
+        // The rank of a sample is its position in ascending order. Each value that occurs in the first frame is mapped
+        // to the second frame's value at the middle of the ranks of its samples.
         let mut values = vec![f32::NAN; KNOTS];
         let (mut rank, mut below, mut at) = (0.0f64, 0.0f64, 0);
         for (v, value) in values.iter_mut().enumerate() {
@@ -49,7 +50,7 @@ impl IntensityMap {
         IntensityMap { values }
     }
 
-    /// The second frame's value for value `v` of the first.
+    /// Returns the second frame's value for the value `v` of the first frame.
     #[inline]
     pub fn at(&self, v: f32) -> f32 {
         let v = v.clamp(0.0, (KNOTS - 1) as f32);
@@ -58,7 +59,7 @@ impl IntensityMap {
         self.values[i] + t * (self.values[i + 1] - self.values[i])
     }
 
-    /// Slope of the map at value `v`; 0 where the second frame is clipped.
+    /// Returns the slope of the map at value `v`; 0 where the second frame is clipped.
     #[inline]
     pub fn slope(&self, v: f32) -> f32 {
         let (low, high) = ((v - SLOPE_REACH).max(0.0), (v + SLOPE_REACH).min((KNOTS - 1) as f32));
@@ -66,7 +67,7 @@ impl IntensityMap {
     }
 }
 
-/// Interpolates missing values (NaN); before the first and after the last known value they are constant.
+/// Interpolates missing values (NaN); before the first known value and after the last one, that value is repeated.
 fn fill_gaps(values: &mut [f32]) {
     let known: Vec<usize> = (0..values.len()).filter(|&i| !values[i].is_nan()).collect();
     let (Some(&first), Some(&last)) = (known.first(), known.last()) else {
@@ -92,12 +93,12 @@ mod tests {
         let f = |v: f32| 255.0 * (v / 255.0).powf(0.6);
         let n = 20_000;
         let reference: Vec<f32> = (0..n).map(|i| 20.0 + 200.0 * i as f32 / n as f32).collect();
-        // The frame's samples are from other positions of the same scene: a permutation.
+        // The frame's samples are those of a permutation of the reference's, as from other positions of the same scene.
         let samples: Vec<(u8, u8)> =
             (0..n).map(|i| (reference[i].round() as u8, f(reference[i * 7919 % n]).round() as u8)).collect();
         let map = IntensityMap::from_samples(&samples);
         for v in [30.0f32, 77.3, 140.0, 210.0] {
-            // The grey values of both frames are rounded: half a value each.
+            // The grey values of both frames are rounded: an error of at most half a grey value each.
             assert!((map.at(v) - f(v)).abs() < 1.0, "{v}: {} {}", map.at(v), f(v));
             let slope = (f(v + 4.0) - f(v - 4.0)) / 8.0;
             assert!((map.slope(v) - slope).abs() < 0.15 * slope);

@@ -5,8 +5,8 @@
 //! look-up and six multiply-adds per pixel. Source: Grossberg & Nayar 2003 (`intensity_map`); Burt & Adelson, "The
 //! Laplacian Pyramid as a Compact Image Code", IEEE Trans. Communications 31(4), 1983 (the binomial kernel).
 //!
-//! The darker frame is mapped to the brighter one, so that both are clipped alike. It is mapped before it is smoothed;
-//! otherwise the edges of clipped areas would move.
+//! The darker frame is mapped to the brighter one, so that both are clipped alike. The mapping comes before the
+//! smoothing; otherwise the edges of clipped areas would move.
 
 mod intensity_map;
 mod tones;
@@ -21,14 +21,14 @@ use crate::pyramid::binomial;
 pub struct CommonExposure {
     /// The reference.
     pub reference: Plane<f32>,
-    /// The frame, on its own grid.
+    /// The frame, in its own pixels: it is not warped to the reference.
     pub frame: Plane<f32>,
-    /// The tables used.
+    /// The tables by which both were converted.
     pub tones: ToneTables,
 }
 
 impl CommonExposure {
-    /// Converts `reference` and `frame` with `tones`.
+    /// Converts `reference` and `frame` with `tones`, and smooths both.
     pub fn new(reference: &Plane<u8>, frame: &Plane<u8>, tones: &ToneTables) -> Self {
         CommonExposure {
             reference: binomial(reference, &tones.reference),

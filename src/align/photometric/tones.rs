@@ -7,10 +7,10 @@ use crate::align::transform::map;
 use crate::plane::Plane;
 use nalgebra::Matrix3;
 
-/// Approximate number of sampled positions.
+/// Approximate number of positions at which both frames are sampled.
 const SAMPLES: f64 = 40_000.0;
 
-/// Grey values of the brighter frame closer than this to 0 or 255 may be clipped.
+/// Grey values of the brighter frame that are closer than this to 0 or 255 count as clipped.
 const CLIP_MARGIN: f32 = 5.0;
 
 /// Least grey value of the darker frame that is used: lower values are mostly noise.
@@ -19,20 +19,21 @@ const DARKEST: f32 = 2.0;
 /// Grey values at a common exposure for each grey value of two frames.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ToneTables {
-    /// The table of the reference.
+    /// The value at the common exposure of each grey value of the reference.
     pub reference: [f32; 256],
-    /// The table of the frame.
+    /// The value at the common exposure of each grey value of the frame.
     pub frame: [f32; 256],
     /// The weight of each grey value of the brighter frame, 0..=1.
     weights: [f32; 256],
 }
 
 impl ToneTables {
-    /// The tables of `reference` and `frame`. `h` (reference -> frame) need only be approximate, because the tables
-    /// depend on histograms.
+    /// Returns the tables of `reference` and `frame`. `h` (reference -> frame) need only be approximate, because the
+    /// tables follow from histograms.
     pub fn between(reference: &Plane<u8>, frame: &Plane<u8>, h: &Matrix3<f64>) -> Self {
         let mut samples = sample(reference, frame, h);
-        // Which frame is brighter on average: every sample counts once, so absent grey values have no influence.
+        // The brighter frame is the one with the larger mean of the samples. A comparison of the tables would also
+        // count grey values that do not occur.
         let is_frame_brighter = samples.iter().map(|&(r, f)| i64::from(f) - i64::from(r)).sum::<i64>() >= 0;
         if !is_frame_brighter {
             samples.iter_mut().for_each(|(r, f)| std::mem::swap(r, f));
@@ -43,15 +44,17 @@ impl ToneTables {
         ToneTables { reference, frame, weights: weights(&to_brighter) }
     }
 
-    /// The weight of grey value `v` of the brighter frame, 0..=1: 1 / (1 + m'^2), where m is the map from the darker
-    /// frame, which also scales its noise; 0 near the ends of either frame's range.
+    /// Returns the weight of grey value `v` of the brighter frame, 0..=1.
+    ///
+    /// It is 1 / (1 + m'^2), where m is the map from the darker frame to the brighter one: m' also scales the noise of
+    /// the darker frame. It is 0 near the ends of either frame's range.
     #[inline]
     pub fn weight(&self, v: f32) -> f32 {
         self.weights[usize::from(v as u8)]
     }
 }
 
-/// Grey values (reference, frame) on a coarse grid, where both frames have pixels.
+/// Returns pairs of grey values (reference, frame) on a coarse grid of the reference, where both frames have pixels.
 fn sample(reference: &Plane<u8>, frame: &Plane<u8>, h: &Matrix3<f64>) -> Vec<(u8, u8)> {
     let step = ((reference.width() * reference.height()) as f64 / SAMPLES).sqrt().max(1.0) as usize;
     let mut samples = Vec::new();
@@ -67,7 +70,7 @@ fn sample(reference: &Plane<u8>, frame: &Plane<u8>, h: &Matrix3<f64>) -> Vec<(u8
     samples
 }
 
-/// The weight of each grey value of the brighter frame, 0..=1; `map` is from the darker to the brighter frame.
+/// Returns the weight of each grey value of the brighter frame, 0..=1; `map` is from the darker to the brighter frame.
 fn weights(map: &IntensityMap) -> [f32; 256] {
     let mut weights = [0.0; 256];
     let mut darker = 0.0f32;
@@ -107,8 +110,8 @@ mod tests {
                 }
             }
             assert!(3 * trusted > size.0 * size.1, "{trusted}");
-            // Rounding causes a mean error of 0.25 in each frame, more where the darker one is brightened; smoothing
-            // removes most of it.
+            // Rounding causes a mean error of 0.25 grey values in each frame, more where the darker one is brightened;
+            // smoothing removes most of this error.
             assert!(apart / (trusted as f32) < 0.5, "{a} {b}: {}", apart / trusted as f32);
         }
         // Grey values clipped in the brighter frame or black in the darker one have weight 0.
@@ -118,7 +121,8 @@ mod tests {
 
     #[test]
     fn pair_without_highlights_maps_the_darker_to_the_brighter() {
-        // Up to 100 of 255, and one EV more: 100 x 2^(1 / 2.2) = 137.
+        // The darker frame has grey values up to 100. The brighter one has 1 EV more, and so values up to 100 x 2^(1 /
+        // 2.2) = 137.
         let gain = 2f64.powf(1.0 / 2.2);
         let ramp = |gain: f64| {
             Plane::from_rows(101, 40, |_, row: &mut [u8]| {

@@ -1,8 +1,8 @@
 //! The finest level of a large image, read only near the points that are compared.
 //!
-//! In: a [`FramePair`] with its points on the level on which agreement is measured. Out: points of the finest level,
-//! one near each of them, and their residuals under a transform. Cost: about 150 pixels per point for any size of the
-//! image; a patch is read again only when its point leaves it.
+//! In: a [`FramePair`], and its points on the level on which agreement is measured. Out: for each of these points a
+//! nearby point of the finest level, and its residual under a transform. Cost: about 150 pixels per point, however
+//! large the image is; a patch is read again only when its point leaves it.
 
 use crate::align::grey::{finest_level, measured_level};
 use crate::align::refinement::frame_pair::Point;
@@ -14,11 +14,12 @@ use crate::simd::{Loops, vectorised};
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 
-/// Side of the smoothed patches of the reference: 4 x 4 pixels to choose a point from, and a border for the gradients.
+/// Side of the smoothed patches of the reference, in pixels: four, among which a point is chosen, and a border of one
+/// for the gradients.
 const CHOICE: usize = 6;
 
-/// For each point of the level on which agreement is measured, the nearby point of the finest level with the largest
-/// weighted gradient.
+/// Returns, for each point of the level on which agreement is measured, the nearby point of the finest level with the
+/// largest weighted gradient.
 pub(crate) fn points<'a>(pair: &'a FramePair) -> &'a [Point] {
     pair.fine_points(|| {
         let (from, to) = (measured_level(pair.reference()), finest_level(pair.reference()));
@@ -26,7 +27,7 @@ pub(crate) fn points<'a>(pair: &'a FramePair) -> &'a [Point] {
         let finer = level_to_full(from - to);
         let chosen = pair.points(from).par_iter().filter_map(|p| {
             let (x, y) = map(&finer, p.x, p.y);
-            // The four pixels in the middle of the patch are around (x, y).
+            // (x, y) is between the four pixels in the middle of the patch.
             let first = |v: f64| (v - 0.5 * (CHOICE as f64 - 1.0) + 0.5) as i32;
             let origin = [first(x), first(y)];
             let patch = vectorised(Around { plane, table: &tones.reference, origin })?;
@@ -58,7 +59,7 @@ impl Loops for Around<'_> {
 
 /// Computes frame minus reference at every point under `h`, on the finest level; NaN outside the frame.
 ///
-/// Patches of the frame that `patches` does not have yet are added to it.
+/// Where a point has left its patch of the frame, or has none yet, the patch is read and stored in `patches`.
 pub(crate) fn residuals(pair: &FramePair, patches: &mut Patches, h: &Matrix3<f64>, out: &mut [f32]) {
     let level = finest_level(pair.reference());
     let (plane, table) = (pair.frame().level(level), &pair.tones(level).frame);
@@ -70,7 +71,7 @@ pub(crate) fn residuals(pair: &FramePair, patches: &mut Patches, h: &Matrix3<f64
     });
 }
 
-/// Computes the residuals of some of the points; the patches have one element for each point.
+/// Computes the residuals of some of the points; `origins`, `values` and `is_placed` have an element for each of them.
 struct Piece<'a> {
     points: &'a [Point],
     h: &'a Matrix3<f64>,
@@ -104,7 +105,7 @@ impl Loops for Piece<'_> {
     }
 }
 
-/// Moves the patch so that (u, v) is in its middle and returns the grey value there; none outside the frame.
+/// Moves the patch so that (u, v) is in its middle, and returns the grey value at (u, v); none outside the frame.
 #[inline(always)]
 fn read_again(
     plane: &Plane<u8>,
@@ -129,7 +130,7 @@ fn read_again(
     patch.cubic(at, u, v)
 }
 
-/// The inner pixel of `patch` with the largest weighted gradient.
+/// Returns column and row of the inner pixel of `patch` with the largest weighted gradient.
 fn best_of(patch: &Patch<CHOICE>, weight: impl Fn(f32) -> f32) -> Option<(usize, usize)> {
     let v = &patch.0;
     let (mut best, mut at) = (0.0, None);
@@ -156,7 +157,7 @@ mod tests {
     use crate::align::scene::{Scene, Shot, rigid};
     use crate::align::transform::Transform;
 
-    /// Large enough for the finest level to be below the one on which agreement is measured.
+    /// Large enough that the finest level is larger than the level on which agreement is measured.
     const SIZE: (usize, usize) = (1000, 700);
 
     fn pair() -> (GreyPyramid, GreyPyramid, Transform) {
@@ -176,12 +177,12 @@ mod tests {
         let mut out = vec![0.0; points.len()];
         assert!(points.len() > 3000, "{}", points.len());
         for p in points {
-            // The same sums in another order, of values below 256.
+            // Both are the same sum of values below 256, in another order.
             assert!((p.value - whole.reference.at(p.x as usize, p.y as usize)).abs() < 1e-3);
         }
         let h = truth.matrix(SIZE.0, SIZE.1);
-        // With new patches, with existing ones, with patches that must be read again, and in another refinement, which
-        // must not depend on the existing patches.
+        // First with new patches, then with existing ones, then with patches that must be read again; at last in
+        // another refinement, whose result must not depend on the existing patches.
         let away = rigid(8.3, 5.5, -0.4).matrix(SIZE.0, SIZE.1);
         for (h, is_another) in [(h, false), (h, false), (away, false), (h, true)] {
             if is_another {
@@ -197,7 +198,7 @@ mod tests {
             for (p, r) in points.iter().zip(&out) {
                 let (u, v) = map(&h, p.x, p.y);
                 if let (false, Some(f)) = (r.is_nan(), cubic::cubic(&whole.frame, u, v)) {
-                    // The same sums in another order.
+                    // Both are the same sum in another order.
                     assert!((f - p.value - r).abs() < 1e-3);
                     compared += 1;
                 }

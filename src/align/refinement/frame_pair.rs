@@ -1,8 +1,8 @@
 //! A pair of frames for refinement: both at a common exposure on every level, and the points to compare.
 //!
-//! In: the grey pyramids of a reference and a frame, and an approximate transform. Out: both frames and the points on
-//! each requested level, computed once. Cost: that of [`CommonExposure`], and one pass over the reference for the
-//! points.
+//! In: the grey pyramids of a reference and a frame, and an approximate transform. Out: both frames, and the points, on
+//! each requested level; each is computed once. Cost: that of [`CommonExposure`], and one pass over the reference for
+//! the points.
 
 use crate::align::grey::{GreyPyramid, measured_level};
 use crate::align::photometric::{CommonExposure, ToneTables};
@@ -12,9 +12,11 @@ use crate::align::transform::{Transform, on_level};
 use nalgebra::Matrix3;
 use std::sync::{Mutex, OnceLock, PoisonError};
 
-/// Approximate number of cells, each with one point: on levels up to [`measured_level`], and on coarser levels.
+/// Approximate number of cells of a level, each of which gives one point: (on levels up to [`measured_level`], on
+/// coarser levels).
 const CELLS: (f64, f64) = (16_000.0, 4_000.0);
-/// Standard deviation of edge positions, in pixels, due to interpolation, aliasing and blur of one of the frames.
+/// Standard deviation of the position of an edge, in pixels, that interpolation, aliasing and the blur of one frame
+/// cause.
 const JITTER: f32 = 0.15;
 
 /// A pixel of the reference that is compared with the frame.
@@ -28,8 +30,8 @@ pub struct Point {
     pub value: f32,
     /// Gradient, in grey values per pixel.
     pub gradient: [f32; 2],
-    /// 1 / standard deviation of the residual, in units of the noise. The deviation has two causes: the noise of both
-    /// frames, and, at strong gradients, aliasing and blur.
+    /// 1 / standard deviation of the residual; the noise of the brighter frame alone counts as a deviation of 1. The
+    /// deviation has two causes: the noise of both frames, and, at strong gradients, aliasing and blur.
     pub precision: f32,
 }
 
@@ -53,7 +55,7 @@ impl Point {
 pub struct FramePair<'a> {
     reference: &'a GreyPyramid,
     frame: &'a GreyPyramid,
-    /// The approximate transform.
+    /// The approximate transform, in pixels of the full size.
     start: Matrix3<f64>,
     tones: Vec<OnceLock<ToneTables>>,
     levels: Vec<OnceLock<CommonExposure>>,
@@ -94,21 +96,22 @@ impl<'a> FramePair<'a> {
         self.frame
     }
 
-    /// The tables that bring both frames to a common exposure on level `i`.
+    /// Returns the tables that convert both frames to a common exposure on level `i`.
     ///
-    /// Each level has its own, because halving reduces the noise, which raises the mean of black pixels.
+    /// Each level has its own tables: noise raises the mean of black pixels, and every halving reduces the noise.
     pub fn tones(&self, i: usize) -> &ToneTables {
         self.tones[i].get_or_init(|| {
             ToneTables::between(self.reference.level(i), self.frame.level(i), &on_level(&self.start, i))
         })
     }
 
-    /// The points of [`finest_level`](crate::align::grey::finest_level), from `choose`, which is called once.
+    /// Returns the points of [`finest_level`](crate::align::grey::finest_level); the first call computes them with
+    /// `choose`.
     pub(crate) fn fine_points(&self, choose: impl FnOnce() -> Vec<Point>) -> &[Point] {
         self.fine_points.get_or_init(choose)
     }
 
-    /// The patches of the frame from the previous refinement, or the result of `unread` for the first one.
+    /// Returns the patches of the frame from the previous refinement; in the first refinement, the result of `unread`.
     ///
     /// The positions of the [`fine_points`](Self::fine_points) change little, so most patches can be reused.
     pub(crate) fn patches(&self, unread: impl FnOnce() -> Patches) -> Patches {
@@ -130,7 +133,8 @@ impl<'a> FramePair<'a> {
         self.levels[i].get_or_init(|| CommonExposure::new(self.reference.level(i), self.frame.level(i), self.tones(i)))
     }
 
-    /// The points to compare on level `i`: the pixel with the largest weighted gradient of every cell of the reference.
+    /// Returns the points to compare on level `i`: from every cell of the reference, the pixel with the largest
+    /// weighted gradient.
     pub fn points(&self, i: usize) -> &[Point] {
         self.points[i].get_or_init(|| {
             let both = self.level(i);
@@ -141,7 +145,7 @@ impl<'a> FramePair<'a> {
     }
 }
 
-/// The pixel with the largest weighted gradient of every cell of `cell` x `cell` pixels.
+/// Returns, from every cell of `cell` x `cell` pixels of the reference, the pixel with the largest weighted gradient.
 fn choose_points(both: &CommonExposure, cell: usize) -> Vec<Point> {
     let (reference, tones) = (&both.reference, &both.tones);
     let (width, height) = (reference.width(), reference.height());
@@ -163,7 +167,8 @@ fn choose_points(both: &CommonExposure, cell: usize) -> Vec<Point> {
             }
             for (slot, (i, cell_squares)) in best.iter_mut().zip(squares.chunks(cell).enumerate()) {
                 for (k, &square) in cell_squares.iter().enumerate() {
-                    // The weight is at most 1, so most pixels need no table look-up.
+                    // The weight is at most 1, so a pixel whose square is not larger than the best strength needs no
+                    // table look-up.
                     if square > slot.0 {
                         let x = BORDER + i * cell + k;
                         let strength = square * tones.weight(row[x]);

@@ -2,8 +2,8 @@
 //!
 //! In: a [`FramePair`] and an approximate transform. Out: the transform of a given model with the least photometric
 //! error, and an error estimate. Cost: two planes at a common exposure for each level down to [`measured_level`], then
-//! about 16,000 patches of the finest level; 0.1 us per point and step. Source: Baker & Matthews, "Lucas-Kanade 20 Years
-//! On", IJCV 56(3), 2004, section 2.2 (compositional updates); Tukey's biweight.
+//! about 16,000 patches of the finest level; 0.1 us for each point and step. Source: Baker & Matthews, "Lucas-Kanade 20
+//! Years On", IJCV 56(3), 2004, section 2.2 (compositional updates). Residuals are weighted by Tukey's biweight.
 
 mod fine_level;
 mod frame_pair;
@@ -25,14 +25,15 @@ use rayon::prelude::*;
 
 /// Largest number of steps on each level.
 const MOST_STEPS: usize = 12;
-/// Steps that move all corners by less than this end a level, in pixels of the level: the last level, and the others.
+/// The iteration on a level ends with a step that moves all corners by less than this, in pixels of the level: (on the
+/// last level, on the others).
 const STILL: (f64, f64) = (0.005, 0.05);
 /// Least number of points for a solution.
 const LEAST_POINTS: usize = 50;
-/// Ratio of the error to that of independent noise: the noise of neighbouring pixels is correlated (smoothing, JPEG,
-/// aliasing). Measured on rendered brackets.
+/// Ratio of the actual error to the error that noise would cause if it were independent in every pixel. In fact the
+/// noise of neighbouring pixels is correlated, by smoothing, JPEG and aliasing. Measured on rendered brackets.
 const NOISE_FACTOR: f64 = 4.0;
-/// Points processed together by one thread.
+/// Number of points that a thread processes together.
 const PIECE: usize = 1024;
 
 /// A refined transform and its error estimate. All lengths are in pixels of level 0.
@@ -47,8 +48,9 @@ pub struct Refined {
 /// Refines `start` as a transform of `model`, level by level from `levels.0` (coarsest) to `levels.1` (0 is the largest
 /// level).
 ///
-/// Of the levels larger than [`measured_level`] only [`finest_level`] is used, by patches, if `levels.1` is below
-/// [`measured_level`]. None if the overlap has too little structure, or if the steps diverge.
+/// Of the levels larger than [`measured_level`], only [`finest_level`] is used, in patches, and only if level
+/// `levels.1` is larger than [`measured_level`]. Returns none if the overlap has too little structure, or if the steps
+/// diverge.
 pub fn refine(pair: &FramePair, start: &Transform, model: Model, levels: (usize, usize)) -> Option<Refined> {
     let (coarsest, finest) = levels;
     let (width, height) = pair.size();
@@ -78,7 +80,7 @@ pub fn refine(pair: &FramePair, start: &Transform, model: Model, levels: (usize,
     Some(Refined { transform: to_transform(&state, model, width, height), error_px: last? })
 }
 
-/// Computes the residuals (frame minus reference) of some of the points of a level that is computed as a whole.
+/// Computes the residuals (frame minus reference) of some points, from the frame's smoothed plane of the whole level.
 struct Residuals<'a> {
     points: &'a [Point],
     h: &'a Matrix3<f64>,
@@ -113,10 +115,10 @@ impl<'a> Stage<'a> {
         (points.len() >= LEAST_POINTS).then_some(Stage { points, level, size: (plane.width(), plane.height()), still })
     }
 
-    /// Iterates Gauss-Newton steps with Tukey's weights until no corner moves; returns the transform and
-    /// [`Refined::error_px`].
+    /// Iterates Gauss-Newton steps with Tukey's weights until all corners move by less than `still`; returns the
+    /// transform and [`Refined::error_px`].
     ///
-    /// `residuals` computes frame minus reference at every point under a transform, NaN outside the frame.
+    /// `residuals` computes frame minus reference at every point under a transform; NaN outside the frame.
     fn solve(
         &self,
         h_full: Matrix3<f64>,
@@ -151,7 +153,8 @@ impl<'a> Stage<'a> {
     }
 }
 
-/// Robust standard deviation of the weighted residuals: 1.4826 times the median absolute value, at least 0.5.
+/// Returns the robust standard deviation of the weighted residuals: 1.4826 times the median absolute value, at least
+/// 0.5.
 fn spread(points: &[Point], residuals: &[f32]) -> Option<f32> {
     let inside = points.iter().zip(residuals).filter(|(_, r)| !r.is_nan());
     let absolutes: Vec<f32> = inside.map(|(p, r)| (r * p.precision).abs()).collect();

@@ -1,9 +1,9 @@
 //! The normal equations of a refinement step.
 //!
-//! In: for each point the derivatives of its grey value with respect to the parameters, its residual and its precision.
-//! Out: A = sum w J^T g g^T J and b = sum w J^T g r. Cost: 44 multiply-adds per point for eight parameters. Source:
-//! Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 4.1 (iteratively reweighted least squares);
-//! Tukey's biweight.
+//! In: for each point the derivatives J^T g of its grey value by the parameters (J: Jacobian of its position, g:
+//! gradient), its residual r and its precision. Out: A = sum w J^T g g^T J and b = sum w J^T g r, with a robust weight
+//! w for each point. Cost: 44 multiply-adds per point for eight parameters. Source: Baker & Matthews, "Lucas-Kanade 20
+//! Years On", IJCV 56(3), 2004, section 4.1 (iteratively reweighted least squares); the weights are Tukey's biweight.
 
 use crate::align::refinement::frame_pair::Point;
 use crate::simd::{Loops, vectorised};
@@ -12,9 +12,10 @@ use nalgebra::{DMatrix, DVector};
 /// Tukey's constant: 95 % efficiency for normal noise.
 const TUKEY: f32 = 4.685;
 
-/// A and b for the first `n` parameters, with residuals in units of `noise`.
+/// Returns A and b for the first `n` parameters; `noise` is the standard deviation of the residuals.
 ///
-/// `rows` has J^T g of each point, zero beyond `n`. `residuals` has frame minus reference, NaN outside the frame.
+/// `rows` has J^T g of each point, whose elements from `n` on are zero. `residuals` has frame minus reference of each
+/// point, NaN outside the frame.
 pub(crate) fn equations(
     n: usize,
     points: &[Point],
@@ -32,7 +33,7 @@ pub(crate) fn equations(
     (DMatrix::from_fn(n, n, |i, k| a[i.min(k)][i.max(k)]), DVector::from_fn(n, |i, _| b[i]))
 }
 
-/// Computes the weight of every point. It is 0 where the residual is NaN.
+/// Computes the weight of every point; 0 where the residual is NaN.
 struct Weights<'a> {
     points: &'a [Point],
     residuals: &'a [f32],
@@ -52,7 +53,7 @@ impl Loops for Weights<'_> {
     }
 }
 
-/// Tukey's biweight of a residual in units of its standard deviation; 0 for NaN.
+/// Returns Tukey's biweight of a residual `r` that is divided by its standard deviation; 0 for NaN.
 #[inline(always)]
 fn tukey_weight(r: f32) -> f32 {
     let t = r / TUKEY;
@@ -61,7 +62,8 @@ fn tukey_weight(r: f32) -> f32 {
     inside * inside
 }
 
-/// Sums over the points, in order, for the first `N` parameters; of A the diagonal and the elements right of it.
+/// Computes A and b for the first `N` parameters, as sums over the points in their order. Of A, only the upper triangle
+/// is complete.
 struct Sums<'a, const N: usize> {
     weights: &'a [f32],
     rows: &'a [[f64; 8]],
@@ -84,7 +86,7 @@ impl<const N: usize> Loops for Sums<'_, N> {
             }
             for i in 0..N {
                 let weighed = w * row[i];
-                // Columns are processed in groups of four, from the group that contains the diagonal.
+                // Columns are processed in groups of four, beginning with the group that contains the diagonal.
                 for k in i / 4 * 4..N {
                     a[i][k] += weighed * row[k];
                 }

@@ -8,9 +8,9 @@
 use crate::align::resampling::cubic::interpolate;
 use crate::plane::Plane;
 
-/// Reach of the smoothing, in pixels.
+/// Number of pixels on each side of a pixel that the smoothing uses.
 const REACH: usize = 2;
-/// Side of the frame's patches: 4 x 4 pixels for the interpolation, and two on each side for the motion of the point.
+/// Side of the frame's patches, in pixels: four for the interpolation, and two at each end, so that the point can move.
 pub(crate) const FRAME_PATCH: usize = 8;
 
 /// Column and row of the first pixel of a patch, in pixels of the level.
@@ -22,7 +22,7 @@ pub(crate) type Origin = [i32; 2];
 pub(crate) struct Patch<const N: usize>(pub(crate) [[f32; N]; N]);
 
 impl<const N: usize> Patch<N> {
-    /// Whether a patch of `plane` at the origin, with the reach of its smoothing, is inside `plane`.
+    /// Whether the patch that begins at (`left`, `top`) is inside `plane`, with all pixels that its smoothing uses.
     #[inline(always)]
     pub(crate) fn fits(plane: &Plane<u8>, [left, top]: Origin) -> bool {
         let (reach, far) = (REACH as i64, (N + REACH) as i64);
@@ -30,8 +30,8 @@ impl<const N: usize> Patch<N> {
         left >= reach && top >= reach && left + far <= plane.width() as i64 && top + far <= plane.height() as i64
     }
 
-    /// The patch of `plane` at the origin, which must [fit](Self::fits): values of `table`, smoothed as the whole level
-    /// would be.
+    /// Computes the patch of `plane` that begins at (`left`, `top`) and [fits](Self::fits): the pixels' values in
+    /// `table`, smoothed as in the whole level.
     #[inline(always)]
     pub(crate) fn read(plane: &Plane<u8>, table: &[f32; 256], [left, top]: Origin) -> Self {
         let (left, top) = (left as usize, top as usize);
@@ -59,8 +59,8 @@ impl<const N: usize> Patch<N> {
 }
 
 impl Patch<FRAME_PATCH> {
-    /// The value at (u, v), in pixels of the level, by cubic convolution; none if the patch does not have all sixteen
-    /// samples.
+    /// Returns the value at (u, v), in pixels of the level, by cubic convolution; none if the patch lacks one of the
+    /// sixteen samples.
     #[inline(always)]
     pub(crate) fn cubic(&self, [left, top]: Origin, u: f64, v: f64) -> Option<f32> {
         let (u, v) = (u - f64::from(left), v - f64::from(top));
@@ -77,17 +77,17 @@ impl Patch<FRAME_PATCH> {
 
 /// Patches of the frame, one for each point.
 ///
-/// Patches of an earlier refinement only save reading the same patch again; they do not influence the result.
+/// A patch that an earlier refinement has read need not be read again. This saves time and does not change the result.
 #[derive(Debug)]
 pub(crate) struct Patches {
     pub(crate) origins: Vec<Origin>,
     pub(crate) values: Vec<Patch<FRAME_PATCH>>,
-    /// Whether the current refinement chose the patch's position.
+    /// Whether the current refinement has chosen the position of each patch.
     pub(crate) is_placed: Vec<bool>,
 }
 
 impl Patches {
-    /// Empty patches for a number of points.
+    /// Returns empty patches for `points` points.
     pub(crate) fn unread(points: usize) -> Self {
         // No patch can be at this position.
         let nowhere = [-1, -1];
@@ -98,7 +98,7 @@ impl Patches {
         }
     }
 
-    /// These patches at the start of a new refinement.
+    /// Returns these patches for the start of a new refinement, which has not chosen their positions yet.
     pub(crate) fn reset(mut self) -> Self {
         self.is_placed.fill(false);
         self

@@ -12,7 +12,7 @@ fn taken(transform: &Transform, shot: Shot) -> GreyPyramid {
     GreyPyramid::new(Scene::new(11).photograph(SIZE, transform, shot))
 }
 
-/// The refinement from level `coarsest` down to the full size.
+/// Refines `start` from level `coarsest` down to the full size.
 fn found(
     reference: &GreyPyramid,
     frame: &GreyPyramid,
@@ -23,16 +23,17 @@ fn found(
     refine(&FramePair::new(reference, frame, start), start, model, (coarsest, 0))
 }
 
-/// Largest distance of the corners under two transforms, in pixels.
+/// Returns the largest distance between the positions of a corner under `a` and under `b`, in pixels.
 fn apart(a: &Transform, b: &Transform) -> f64 {
     a.corner_distance(b, SIZE.0, SIZE.1)
 }
 
 #[test]
 fn finds_each_model_from_pixels_away() {
-    // About 25,000 points with noise of 1.5 grey values, twice that where the darker frame is brightened, and gradients
-    // of about 10 per pixel: the error of a shift is 3 / 10 / sqrt(25,000 / 13) = 0.007 px (the smoothing correlates 13
-    // pixels), that of a homography at the corners five times as large.
+    // About 25,000 points have gradients of about 10 grey values per pixel, and noise of 1.5 grey values, or 3 where
+    // the darker frame is brightened. Smoothing correlates the noise of 13 neighbouring pixels, so the points count as
+    // 25,000 / 13. Therefore the error of a shift is 3 / 10 / sqrt(25,000 / 13) = 0.007 px; the error of a homography
+    // at the corners is five times as large.
     for (truth, start, model, tolerance) in [
         (shift(5.3, -2.6), shift(2.9, -0.1), Model::Shift, 0.02),
         (rigid(-3.4, 6.2, 0.8), rigid(-1.0, 4.0, 0.5), Model::Rigid, 0.03),
@@ -58,8 +59,9 @@ fn a_result_has_the_form_of_its_model() {
 
 #[test]
 fn edges_of_clipped_areas_do_not_affect_alignment() {
-    // A sawtooth that rises within 6 px and falls over 40 px. With clipping three stops up, the bright part of every
-    // tooth extends to the left by some pixels. If that were ignored, all edges would be shifted in the same direction.
+    // A sawtooth that rises within 6 px and falls over 40 px. In the frame with three stops more, which clips, the
+    // bright part of every tooth extends to the left by some pixels. If clipping were ignored, all edges would be
+    // shifted in this direction.
     let teeth = |x: f64, y: f64| {
         let t = (x + 6.0 * (y / 17.0).sin()).rem_euclid(46.0);
         let rise = if t < 6.0 { 0.5 - 0.5 * (t / 6.0 * std::f64::consts::PI).cos() } else { (46.0 - t) / 40.0 };
@@ -72,7 +74,8 @@ fn edges_of_clipped_areas_do_not_affect_alignment() {
         let clipped = [&reference, &frame].map(|p| p.level(0).as_slice().iter().filter(|&&v| v == 255).count());
         assert!(clipped.iter().max().unwrap() * 10 > SIZE.0 * SIZE.1, "{clipped:?}");
         let found = found(&reference, &frame, &shift(0.0, 0.0), Model::Shift, 1).unwrap();
-        // As for the models above; the bias by clipping would be tenths of a pixel.
+        // Twice the tolerance of a shift in `finds_each_model_from_pixels_away`; a bias by clipping would be tenths of
+        // a pixel.
         assert!(apart(&found.transform, &truth) < 0.04, "{a} {b}: {found:?}");
     }
 }
@@ -80,7 +83,7 @@ fn edges_of_clipped_areas_do_not_affect_alignment() {
 #[test]
 fn moving_object_does_not_affect_the_refinement() {
     let scene = Scene::new(11);
-    // 0.45 x 0.45 of the image is displaced by 9 px.
+    // A part of 0.45 x 0.45 of the image is displaced by 9 px.
     let with_mover = |x: f64, y: f64| {
         let inside = (100.0..280.0).contains(&x) && (90.0..225.0).contains(&y);
         scene.radiance(if inside { x - 9.0 } else { x }, y)
@@ -89,8 +92,8 @@ fn moving_object_does_not_affect_the_refinement() {
     let reference = taken(&Transform::Identity, Shot::at(-1.0));
     let frame = GreyPyramid::new(photograph(SIZE, &truth, Shot::at(1.0), with_mover));
     let found = found(&reference, &frame, &shift(0.5, 0.0), Model::Rigid, 2).unwrap();
-    // Least squares would have an error of about a fifth of the 9 px; with Tukey's weights only chance similarities in
-    // the moved part remain.
+    // Least squares would have an error of about a fifth (0.45 x 0.45) of the 9 px. With Tukey's weights, only those
+    // pixels of the moved part count that match by chance.
     assert!(apart(&found.transform, &truth) < 0.05, "{found:?}");
 }
 
@@ -119,8 +122,9 @@ fn the_error_it_states_is_of_the_right_order() {
         stated += found.error_px * found.error_px;
     }
     // With smoothing by 1 px, 4 pi = 12.6 neighbouring points share their noise, so the error is up to sqrt(12.6) = 3.5
-    // times that of independent noise. The estimate is NOISE_FACTOR times that of independent noise, so the ratio is at
-    // most 0.89, and lower because noise that smoothing removes is included. For 20 shots its error is 11 %.
+    // times that of independent noise. The estimate is NOISE_FACTOR = 4 times that of independent noise, so actual /
+    // stated is at most 3.5 / 4 = 0.89. It is less in practice: where the gradient changes between such neighbours,
+    // their common noise partly cancels. With 20 pairs of photographs, the measured ratio itself has an error of 11 %.
     let ratio = f64::sqrt(actual / stated);
     assert!((0.5..1.0).contains(&ratio), "{ratio}: {} against {}", (actual / 20.0).sqrt(), (stated / 20.0f64).sqrt());
 }

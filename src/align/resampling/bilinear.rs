@@ -15,7 +15,7 @@ pub(crate) struct BilinearRows<'a> {
 }
 
 impl<'a> BilinearRows<'a> {
-    /// `grey` on a grid of the same size, whose pixels `transform` maps to pixels of `grey`.
+    /// Prepares resampling to a grid of the size of `grey`; `transform` maps pixels of the grid to pixels of `grey`.
     pub(crate) fn new(grey: &'a Plane<u8>, transform: &Transform) -> Self {
         BilinearRows { grey, h: transform.matrix(grey.width(), grey.height()) }
     }
@@ -29,7 +29,7 @@ impl<'a> BilinearRows<'a> {
         }
     }
 
-    /// Pixel (`x`, `y`) of the grid by the textbook formula, for narrow images and tests.
+    /// Returns pixel (`x`, `y`) of the grid by the textbook formula, for narrow images and tests.
     fn pixel(&self, x: usize, y: usize) -> u8 {
         let (width, height) = (self.grey.width(), self.grey.height());
         let (u, v) = map(&self.h, x as f64, y as f64);
@@ -43,10 +43,10 @@ impl<'a> BilinearRows<'a> {
     }
 }
 
-/// Pixels processed together in each of the three steps: positions, reads, interpolation.
+/// Number of pixels processed together in each of the three steps: positions, reads, interpolation.
 const BLOCK: usize = 64;
 
-/// A row of a grid of at least 2 x 2 pixels.
+/// Computes a row of a grid of at least 2 x 2 pixels.
 struct Row<'a, 'b> {
     source: &'a BilinearRows<'b>,
     y: usize,
@@ -83,7 +83,7 @@ impl Loops for Row<'_, '_> {
             }
             for (i, out) in out.iter_mut().enumerate() {
                 let mix = |pair: [u8; 2]| f32::from(pair[0]) * (1.0 - fx[i]) + f32::from(pair[1]) * fx[i];
-                // Less than 256.
+                // The value is less than 256, so it fits.
                 *out = (mix(upper[i]) * (1.0 - fy[i]) + mix(lower[i]) * fy[i] + 0.5) as i32 as u8;
             }
         }
@@ -111,7 +111,7 @@ mod tests {
     fn rows_side_by_side_are_the_textbooks_pixels() {
         for size in [(203, 90), (64, 3), (2, 2), (1, 40), (40, 1), (1, 1)] {
             let grey = Scene::new(2).photograph(size, &Transform::Identity, Shot::at(0.0));
-            // Beyond every side, on the border, and NaN.
+            // The transforms map to positions beyond every side, on the border, and NaN.
             let nowhere = Transform::Homography(Matrix3::from_element(f64::NAN));
             for transform in [
                 Transform::Identity,

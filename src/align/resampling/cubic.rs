@@ -5,10 +5,10 @@
 
 use crate::plane::Plane;
 
-/// Width of the border without samples, in pixels: the reach of the derivative and of the interpolation.
+/// Width of the border in which no points are chosen, in pixels: the reach of the derivative and of the interpolation.
 pub(crate) const BORDER: usize = 3;
 
-/// The value of `plane` at (u, v) by cubic convolution; none within [`BORDER`] - 1 pixels of the border.
+/// Returns the value of `plane` at (u, v) by cubic convolution; none within [`BORDER`] - 1 pixels of the border.
 #[inline(always)]
 pub(crate) fn cubic(plane: &Plane<f32>, u: f64, v: f64) -> Option<f32> {
     let margin = (BORDER - 1) as f64;
@@ -24,7 +24,8 @@ pub(crate) fn cubic(plane: &Plane<f32>, u: f64, v: f64) -> Option<f32> {
     Some(interpolate(fraction, |j| &plane.row(y + j - 1)[x - 1..x + 3]))
 }
 
-/// The value between 4 x 4 samples, whose rows are `row(0)` to `row(3)`, at `fraction` from the second in each direction.
+/// Returns the value between 4 x 4 samples, whose rows are `row(0)` to `row(3)`, at the position `fraction` from the
+/// second sample in each direction.
 #[inline(always)]
 pub(crate) fn interpolate<'a>(fraction: [f32; 2], row: impl Fn(usize) -> &'a [f32]) -> f32 {
     let [wx, wy] = fraction.map(keys);
@@ -36,7 +37,8 @@ pub(crate) fn interpolate<'a>(fraction: [f32; 2], row: impl Fn(usize) -> &'a [f3
     sum
 }
 
-/// Weights of four samples for a position between the second and the third, `t` from the second (Keys 1981, a = -1/2).
+/// Returns the weights of four samples for a position between the second and the third, `t` from the second (Keys 1981,
+/// a = -1/2).
 #[inline(always)]
 fn keys(t: f32) -> [f32; 4] {
     let (t2, t3) = (t * t, t * t * t);

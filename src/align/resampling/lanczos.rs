@@ -7,15 +7,15 @@ use crate::simd::{floor64, integer64};
 use std::f64::consts::PI;
 use std::sync::LazyLock;
 
-/// Pixels under the kernel, along each axis.
+/// Number of pixels under the kernel, along each axis.
 pub(crate) const TAPS: usize = 6;
-/// Number of these before the pixel at the position rounded down.
+/// Number of pixels under the kernel before the pixel at the position rounded down.
 pub(crate) const BEFORE: usize = 2;
-/// Phases of the kernel between two pixels: 1/1024 px apart, so that the rounding error is below 0.1 pixel values at
-/// the steepest edge.
+/// Number of phases of the kernel between two pixels. At 1/1024 px apart, the rounding error is below 0.1 pixel values
+/// at the steepest edge.
 const PHASES: usize = 1024;
 
-/// The first pixel under the kernel at `position`, clamped to 0..=`last`, and the phase.
+/// Returns the index of the first pixel under the kernel, and the phase, at `position`, which is clamped to 0..=`last`.
 #[inline(always)]
 pub(crate) fn taps_at(position: f64, last: f64) -> (i32, i32) {
     let position = if position > 0.0 { position } else { 0.0 };

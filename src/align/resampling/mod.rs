@@ -1,7 +1,7 @@
 //! Resampling: the pixel values of a frame on the reference's grid, in one step.
 //!
-//! In: a [`Window`] of a frame and a [`Transform`]. Out: rows of pixel values as floats, [`OUTSIDE`] where the frame has
-//! no pixel. Cost: at most 36 multiply-adds per value, fewer if the transform is nearly a shift; a copy for the
+//! In: a [`Window`] of a frame and a [`Transform`]. Out: rows of pixel values as floats, [`OUTSIDE`] where the frame
+//! has no pixel. Cost: at most 42 multiply-adds per value, fewer if the transform is nearly a shift; a copy for the
 //! identity. Source: Turkowski, "Filters for Common Resampling Tasks", Graphics Gems I (1990), who recommends the
 //! Lanczos kernel (`lanczos`) for photographs.
 
@@ -20,7 +20,7 @@ use std::ops::Range;
 /// Value of all three channels where the frame has no pixel.
 pub const OUTSIDE: f32 = -1.0;
 
-/// The rows of a frame of `size` pixels needed to resample the reference's pixels `columns` x `rows`.
+/// Returns the rows of a frame of `size` pixels that are needed to resample the reference's pixels `columns` x `rows`.
 pub fn rows_under(
     transform: &Transform,
     size: (usize, usize),
@@ -43,7 +43,7 @@ pub fn rows_under(
     }
     let ends = corners.iter().map(|&(x, y)| map(&h, x, y).1);
     let (top, bottom) = ends.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
-    // Positions outside are clamped. Added are the taps of the kernel, and a row for rounding.
+    // Positions outside the frame are clamped. The taps of the kernel, and a row for rounding, are added at both ends.
     let last = (size.1 - 1) as f64;
     let (first, end) = (top.clamp(0.0, last) as usize, bottom.clamp(0.0, last) as usize + 1);
     first.saturating_sub(BEFORE + 1)..(end + TAPS - BEFORE + 1).min(size.1)

@@ -17,14 +17,14 @@ use std::ops::Range;
 pub struct Placed<'a> {
     /// The frame.
     pub frame: &'a Frame,
-    /// Its index in the bracket.
+    /// The index of the frame in the bracket.
     pub index: usize,
     transform: Transform,
     /// Reference pixel -> frame pixel; none for the identity.
     matrix: Option<Matrix3<f64>>,
 }
 
-/// The aligned frames of `bracket`.
+/// Returns the aligned frames of `bracket`.
 pub fn placed<'a>(bracket: &'a Bracket, alignment: &'a Alignment) -> Vec<Placed<'a>> {
     let matrix = |frame: &Frame, transform: Transform| match transform {
         Transform::Identity => None,
@@ -35,7 +35,7 @@ pub fn placed<'a>(bracket: &'a Bracket, alignment: &'a Alignment) -> Vec<Placed<
 }
 
 impl Placed<'_> {
-    /// The rows of the frame under the reference's `columns` and `rows`.
+    /// Returns the rows of the frame that correspond to the reference's `columns` and `rows`.
     ///
     /// # Errors
     /// [`Error::Scratch`](crate::error::Error::Scratch) if a frame on disk cannot be read.
@@ -48,16 +48,17 @@ impl Placed<'_> {
 
 /// Some rows of a frame.
 pub struct Strip<'a> {
-    /// Their pixel values.
+    /// The pixel values of these rows.
     pub window: Window<'a>,
     matrix: Option<Matrix3<f64>>,
 }
 
 impl Strip<'_> {
-    /// Index of the first of the window's values in the square that corresponds to a square of the reference.
+    /// Returns where, in the values of the window, the square of the frame begins that corresponds to a square of the
+    /// reference.
     ///
-    /// The reference's square has `side` x `side` pixels, the top-left one at (x, y). None if the frame does not contain
-    /// all of it.
+    /// The reference's square has `side` x `side` pixels, the top-left one at (x, y). None if the square is not
+    /// completely inside the frame.
     pub fn start(&self, x: usize, y: usize, side: usize) -> Option<usize> {
         let (width, height) = (self.window.width(), self.window.height());
         let (x, y) = match &self.matrix {

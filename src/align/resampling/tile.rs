@@ -3,9 +3,9 @@
 //! In: the pixel values of some rows of a frame, and a transform. Out: pixel values as floats on the reference's grid.
 //! Cost: see [`resampling`](crate::align::resampling).
 //!
-//! The kernel is applied to columns first, then to rows. The part of the frame under a tile is converted to floats once,
-//! with the border repeated. Neighbouring pixels between the same rows at the same phase share the sums of their
-//! columns.
+//! The kernel is applied to columns first, then to rows. The part of the frame under a tile is converted to floats
+//! once, with the border repeated. Neighbouring pixels that lie between the same rows of the frame, at the same phase,
+//! share the sums of their columns.
 
 use crate::align::resampling::OUTSIDE;
 use crate::align::resampling::lanczos::{BEFORE, TAPS, WEIGHTS, taps_at};
@@ -22,19 +22,19 @@ const TILE: (usize, usize) = (136, 36);
 /// by more than about 20 degrees are computed pixel by pixel.
 const WINDOW: (usize, usize) = (192, 96);
 
-/// Values that are summed together.
+/// Number of values that are summed together in a vector.
 const LANES: usize = 8;
 
-/// Distance of the window's rows, in values: whole vectors can be read at every pixel.
+/// Distance between successive rows of the window, in values: long enough to read whole vectors at every pixel.
 const STRIDE: usize = 3 * WINDOW.0 + 2 * LANES;
 
-/// Column sums needed by one pixel, rounded up to whole vectors.
+/// Number of column sums needed by one pixel, rounded up to whole vectors.
 const SUMS: usize = (3 * TAPS).next_multiple_of(LANES);
 
 /// The pixel values of a frame, and their scale.
 pub(super) struct Source<'a, T> {
     pub(super) codes: &'a [T],
-    /// The first row of `codes`.
+    /// The row of the frame with which `codes` begins.
     pub(super) first: usize,
     /// Size of the whole frame.
     pub(super) size: (usize, usize),
@@ -85,7 +85,7 @@ impl<T: Copy + Into<f32>> Source<'_, T> {
         &self.codes[from..from + 3 * self.size.0]
     }
 
-    /// The value at (u, v), which must be within the rectangle of pixel centres; the border is repeated.
+    /// Returns the value at (u, v), which must be within the rectangle of pixel centres; the border is repeated.
     #[inline(always)]
     pub(super) fn at(&self, u: f64, v: f64) -> [f32; 3] {
         let most = f64::from(i32::MAX);
@@ -148,17 +148,17 @@ struct Scratch {
     positions: Box<SamplePositions>,
 }
 
-/// Positions of a row of the tile in the window.
+/// For each pixel of a row of the tile: its position in the window, and its column sums.
 struct SamplePositions {
-    /// The first of the window's columns under the kernel.
+    /// Index of the first of the window's columns under the kernel.
     left: [u32; TILE.0],
-    /// The phase between columns.
+    /// Phase between columns.
     across: [u32; TILE.0],
-    /// The first of the window's rows under the kernel, times 2^16, plus the phase between rows.
+    /// Index of the first of the window's rows under the kernel, times 2^16, plus the phase between rows.
     down: [u32; TILE.0],
     /// 1 if the position is inside the frame, otherwise 0.
     is_inside: [u32; TILE.0],
-    /// Index of a pixel's first column sum.
+    /// Index of the pixel's first column sum.
     sums: [u32; TILE.0],
 }
 
@@ -182,7 +182,7 @@ struct Tile<'a, 'b, T> {
     rows: Range<usize>,
     /// The output, beginning at the tile's first pixel.
     out: &'a mut [[f32; 3]],
-    /// Distance of the output's rows, in pixels.
+    /// Distance between successive rows of the output, in pixels.
     stride: usize,
     scratch: &'a mut Scratch,
 }
@@ -252,12 +252,12 @@ fn footprint(h: &Matrix3<f64>, columns: &Range<usize>, rows: &Range<usize>, last
             vs = (vs.0.min(v), vs.1.max(v));
         }
     }
-    // One pixel more, for rounding.
+    // The margin of one pixel is for rounding.
     if us.1 < -1.0 || vs.1 < -1.0 || us.0 > last.0 + 1.0 || vs.0 > last.1 + 1.0 {
         return Footprint::Outside;
     }
     let range = |(least, most): (f64, f64), last: f64| {
-        // Positions outside are clamped here and marked later.
+        // Positions outside the frame are clamped here; `SamplePositions::find` marks them.
         let (first, end) = (least.clamp(0.0, last) as i32 - 1, most.clamp(0.0, last) as i32 + 2);
         first - BEFORE as i32..end + (TAPS - BEFORE - 1) as i32
     };
@@ -327,7 +327,8 @@ impl SamplePositions {
         let (left, down, begins) = (&self.left[..count], &self.down[..count], &mut self.sums[..count]);
         let (mut next, mut free) = (0, 0);
         while next < count {
-            // Nearby neighbours between the same rows at the same phase share column sums.
+            // Neighbours at most two columns apart share column sums, if they are between the same rows at the same
+            // phase.
             let (row, first) = (down[next], left[next]);
             let mut at = first;
             while next < count && down[next] == row && left[next].wrapping_sub(at) <= 2 {
@@ -353,7 +354,7 @@ impl SamplePositions {
         }
     }
 
-    /// Sums the columns of each pixel of `line`, multiplied by `scale`.
+    /// Computes each pixel of `line` from its column sums, multiplied by `scale`.
     #[inline(always)]
     fn across(&self, sums: &[f32], scale: f32, values: &mut [[f32; 4]; TILE.0], line: &mut [[f32; 3]]) {
         let count = line.len();

@@ -1,9 +1,9 @@
 //! Parameters of small changes of a transform, for which the refinement solves.
 //!
-//! In: a [`Model`] and the size of a plane. Out: the Jacobian of the transform by its parameters, the matrix of given
-//! parameters, the prior of a hand-held camera, and the error in pixels of a covariance of the parameters. Cost:
-//! negligible. Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 2.2 and its table of
-//! warps.
+//! In: a [`Model`] and the size of a plane. Out: the Jacobian of the transform by its parameters, the matrix for given
+//! parameters, the prior for a hand-held camera, and the error in pixels that follows from a covariance of the
+//! parameters. Cost: negligible. Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 2.2
+//! and its table of warps.
 
 use crate::align::transform::{GRID, Model, Transform, centre, grid};
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2};
@@ -12,14 +12,15 @@ use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2};
 ///
 /// The prior describes a hand-held camera: scale changes by some thousandths, there is almost no stretch or shear, and
 /// rotations out of the picture plane of some tenths of a degree cause perspective. A frame with detail everywhere
-/// determines these a hundred times as precisely. With detail in a strip only, the prior limits the other parameters.
+/// determines scale, stretch, shear and perspective a hundred times as precisely as the prior. If only a strip of the
+/// frame has detail, the prior limits the parameters that the strip does not determine.
 const SCALE: f64 = 0.0025;
 /// Prior standard deviation of stretch and shear; see [`SCALE`].
 const STRETCH: f64 = 0.001;
-/// Prior standard deviation of the perspective; see [`SCALE`].
+/// Prior standard deviation of the perspective, in the coordinates of [`Increment`]; see [`SCALE`].
 const PERSPECTIVE: f64 = 0.005;
 
-/// The small motions of a model.
+/// The small motions that a model allows, and their parameters.
 ///
 /// Coordinates are relative to the centre, in units of half the diagonal, so that all parameters are of similar size.
 pub(crate) struct Increment {
@@ -29,7 +30,8 @@ pub(crate) struct Increment {
     size: (usize, usize),
 }
 
-/// A property of a transform with a prior: its value, prior standard deviation, and derivatives by the parameters.
+/// A property of a transform that has a prior: its value, its prior standard deviation, and its derivatives, each with
+/// the index of the parameter.
 type Known = (f64, f64, &'static [(usize, f64)]);
 
 impl Increment {
@@ -39,7 +41,7 @@ impl Increment {
         Increment { model, centre: centre(width, height), unit, size: (width, height) }
     }
 
-    /// Number of parameters of the model.
+    /// Returns the number of parameters of the model.
     pub(crate) fn parameters(&self) -> usize {
         match self.model {
             Model::Unmoved => 0,
@@ -49,7 +51,7 @@ impl Increment {
         }
     }
 
-    /// d(position) / d(parameters) at (x, y), in pixels.
+    /// Returns the derivatives of the position by each parameter at (x, y), in pixels.
     pub(crate) fn jacobian(&self, x: f64, y: f64) -> [[f64; 2]; 8] {
         let (x, y, u) = ((x - self.centre.0) / self.unit, (y - self.centre.1) / self.unit, self.unit);
         let mut j = [[0.0; 2]; 8];
@@ -73,23 +75,23 @@ impl Increment {
         j
     }
 
-    /// J^T g at (x, y).
+    /// Returns J^T g at (x, y): the derivatives of the grey value by each parameter, where its gradient is `g`.
     pub(crate) fn row(&self, x: f64, y: f64, g: [f32; 2]) -> [f64; 8] {
         let (gx, gy) = (f64::from(g[0]), f64::from(g[1]));
         self.jacobian(x, y).map(|j| gx * j[0] + gy * j[1])
     }
 
-    /// Adds to A and b the prior of the deviation of `h`, in pixels, from rigid (see [`SCALE`]).
+    /// Adds the prior to A and b: how far `h`, a matrix on pixels, is from a rigid transform (see [`SCALE`]).
     ///
-    /// A and b assume noise that is independent between points. If its actual effect is `factor` times as large, they
-    /// are `factor`^2 times too large, and the prior is scaled in the same way.
+    /// A and b assume that the noise of the points is independent. If the actual error is `factor` times as large as
+    /// for independent noise, A and b are `factor`^2 times too large; the prior is then multiplied by `factor`^2, too.
     pub(crate) fn add_prior(&self, h: &Matrix3<f64>, factor: f64, a: &mut DMatrix<f64>, b: &mut DVector<f64>) {
         if self.model != Model::Homography {
             return;
         }
         let n = self.to_units() * h * self.to_pixels();
         let n = n / n[(2, 2)];
-        // The derivative at the centre without its rotation, S = R(-phi) A, is near the identity.
+        // S = R(-phi) D, the derivative D at the centre without its rotation by phi, is near the identity.
         let derivative = |i: usize, k: usize| n[(i, k)] - n[(i, 2)] * n[(2, k)];
         let (xx, xy, yx, yy) = (derivative(0, 0), derivative(0, 1), derivative(1, 0), derivative(1, 1));
         let (sum, turn) = (xx + yy, yx - xy);
@@ -136,7 +138,7 @@ impl Increment {
         step.iter().all(|v| v.is_finite()).then_some(step)
     }
 
-    /// The motion of the reference's pixels with the parameters `d`, as a matrix on pixels.
+    /// Returns the matrix, on pixels of the reference, of the small motion with the parameters `d`.
     pub(crate) fn matrix(&self, d: &DVector<f64>) -> Matrix3<f64> {
         let m = match self.model {
             Model::Unmoved => Matrix3::identity(),
@@ -150,12 +152,12 @@ impl Increment {
         self.to_pixels() * m * self.to_units()
     }
 
-    /// The largest displacement of a corner by the motion `d`, in pixels.
+    /// Returns the largest displacement of a corner by the motion with the parameters `d`, in pixels.
     pub(crate) fn largest_move(&self, d: &DVector<f64>) -> f64 {
         Transform::Homography(self.matrix(d)).corner_distance(&Transform::Identity, self.size.0, self.size.1)
     }
 
-    /// The root mean square displacement over the picture by the motion `d`, in pixels.
+    /// Returns the root mean square displacement, over the picture, by the motion with the parameters `d`, in pixels.
     pub(crate) fn mean_move(&self, d: &DVector<f64>) -> f64 {
         let sum: f64 = grid(self.size.0, self.size.1)
             .map(|(x, y)| {
@@ -167,8 +169,8 @@ impl Increment {
         (sum / (GRID * GRID) as f64).sqrt()
     }
 
-    /// The root mean square error over the picture for the covariance A^-1 of the parameters, in pixels; none where A
-    /// is singular.
+    /// Returns the root mean square error over the picture, in pixels, if the parameters have the covariance A^-1; none
+    /// where A is singular.
     pub(crate) fn expected_error(&self, a: &DMatrix<f64>) -> Option<f64> {
         let covariance = a.clone().cholesky()?.inverse();
         let mut sum = 0.0;

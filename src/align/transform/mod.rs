@@ -1,8 +1,8 @@
 //! Transforms: reference pixel -> frame pixel.
 //!
-//! In: a shift, a rotation, or a homography. Out: its 3x3 matrix on pixel coordinates, its shift, rotation and distance
-//! to another transform, and its matrix on the levels of a pyramid. Cost: negligible. Source: Hartley & Zisserman,
-//! Multiple View Geometry (2nd ed., 2004), section 2.4 (a hierarchy of transformations).
+//! In: a shift, a rotation, or a homography. Out: its 3x3 matrix on pixel coordinates, or on those of a pyramid level;
+//! its shift, rotation, and distance to another transform. Cost: negligible. Source: Hartley & Zisserman, Multiple View
+//! Geometry (2nd ed., 2004), section 2.4 (a hierarchy of transformations).
 
 mod increment;
 mod model;
@@ -33,7 +33,7 @@ pub enum Transform {
 }
 
 impl Transform {
-    /// The matrix on homogeneous pixel coordinates, for pictures of this size; its lower right element is 1.
+    /// Returns the matrix on homogeneous pixel coordinates, for pictures of this size; its lower right element is 1.
     pub fn matrix(&self, width: usize, height: usize) -> Matrix3<f64> {
         match *self {
             Transform::Identity => Matrix3::identity(),
@@ -46,14 +46,14 @@ impl Transform {
         }
     }
 
-    /// The displacement of the picture's centre, in pixels.
+    /// Returns the displacement of the picture's centre, in pixels.
     pub fn shift_px(&self, width: usize, height: usize) -> (f64, f64) {
         let (cx, cy) = centre(width, height);
         let (x, y) = map(&self.matrix(width, height), cx, cy);
         (x - cx, y - cy)
     }
 
-    /// The rotation at the picture's centre, in degrees from +x towards +y.
+    /// Returns the rotation at the picture's centre, in degrees from +x towards +y.
     pub fn rotation_deg(&self, width: usize, height: usize) -> f64 {
         let h = self.matrix(width, height);
         let (cx, cy) = centre(width, height);
@@ -61,7 +61,8 @@ impl Transform {
         libm::atan2(y1 - y0, x1 - x0) * 180.0 / PI
     }
 
-    /// The largest distance between the positions of a corner under this transform and another, in pixels.
+    /// Returns the largest distance between the positions of a corner under this transform and under `other`, in
+    /// pixels.
     pub fn corner_distance(&self, other: &Transform, width: usize, height: usize) -> f64 {
         let (a, b) = (self.matrix(width, height), other.matrix(width, height));
         corners(width, height)
@@ -74,27 +75,28 @@ impl Transform {
     }
 }
 
-/// The centre of a picture; between two pixels along an even side.
+/// Returns the centre of a picture, in pixels; along a side with an even number of pixels, it is between two of them.
 pub fn centre(width: usize, height: usize) -> (f64, f64) {
     ((width as f64 - 1.0) / 2.0, (height as f64 - 1.0) / 2.0)
 }
 
-/// The centres of the four corner pixels.
+/// Returns the centres of the four corner pixels.
 pub fn corners(width: usize, height: usize) -> [(f64, f64); 4] {
     let (r, b) = (width as f64 - 1.0, height as f64 - 1.0);
     [(0.0, 0.0), (r, 0.0), (r, b), (0.0, b)]
 }
 
-/// Points along each axis over which errors and distances are averaged.
+/// Number of points along each axis over which errors and distances are averaged.
 const GRID: usize = 9;
 
-/// A grid of `GRID` x `GRID` points over the whole picture, row by row.
+/// Returns a grid of `GRID` x `GRID` points over the whole picture, row by row.
 fn grid(width: usize, height: usize) -> impl Iterator<Item = (f64, f64)> {
     let at = |k: usize, n: usize| (n as f64 - 1.0) * k as f64 / (GRID as f64 - 1.0);
     (0..GRID * GRID).map(move |i| (at(i % GRID, width), at(i / GRID, height)))
 }
 
-/// The root mean square distance between the positions of a pixel under two transforms, over the picture, in pixels.
+/// Returns the root mean square distance, over the picture, between the positions of a pixel under `a` and under `b`,
+/// in pixels.
 pub(crate) fn distance(a: &Transform, b: &Transform, width: usize, height: usize) -> f64 {
     let (ha, hb) = (a.matrix(width, height), b.matrix(width, height));
     let sum: f64 = grid(width, height)
@@ -106,14 +108,17 @@ pub(crate) fn distance(a: &Transform, b: &Transform, width: usize, height: usize
     (sum / (GRID * GRID) as f64).sqrt()
 }
 
-/// Maps a pixel of `level` to a pixel of the full size. Halving puts the centre of a pixel between two.
+/// Returns the matrix that maps a pixel of `level` to a pixel of the full size.
+///
+/// It has an offset, because the centre of a pixel is between those of two pixels of the next larger level along each
+/// axis.
 pub fn level_to_full(level: usize) -> Matrix3<f64> {
     let scale = (1u64 << level) as f64;
     let offset = (scale - 1.0) / 2.0;
     Matrix3::new(scale, 0.0, offset, 0.0, scale, offset, 0.0, 0.0, 1.0)
 }
 
-/// Maps a pixel of the full size to a pixel of `level`.
+/// Returns the matrix that maps a pixel of the full size to a pixel of `level`.
 fn full_to_level(level: usize) -> Matrix3<f64> {
     let scale = (1u64 << level) as f64;
     let offset = (1.0 - scale) / (2.0 * scale);
@@ -131,7 +136,7 @@ pub fn off_level(h: &Matrix3<f64>, level: usize) -> Matrix3<f64> {
     whole / whole[(2, 2)]
 }
 
-/// Applies x' ~ H x to the point (x, y). Not finite on the line that H maps to infinity.
+/// Applies x' ~ H x to the point (x, y). The result is not finite for points on the line that H maps to infinity.
 #[inline(always)]
 pub fn map(h: &Matrix3<f64>, x: f64, y: f64) -> (f64, f64) {
     let w = h[(2, 0)] * x + h[(2, 1)] * y + h[(2, 2)];
@@ -148,7 +153,8 @@ mod tests {
         let (dx, dy) = transform.shift_px(101, 51);
         assert!((dx - 3.0).abs() < 1e-12 && (dy + 2.0).abs() < 1e-12);
         assert!((transform.rotation_deg(101, 51) - 0.1f64.to_degrees()).abs() < 1e-9);
-        // The point one to the right of the centre goes to (cos, sin), y pointing down: clockwise on the screen.
+        // The point one pixel to the right of the centre moves to (cos, sin) from the shifted centre (53, 23). With y
+        // pointing down, this is clockwise on the screen.
         let (x, y) = map(&transform.matrix(101, 51), 51.0, 25.0);
         assert!((x - 53.0 - 0.1f64.cos()).abs() < 1e-12 && (y - 23.0 - 0.1f64.sin()).abs() < 1e-12);
     }
@@ -156,8 +162,8 @@ mod tests {
     #[test]
     fn corner_distance_is_that_of_the_worst_corner() {
         let h = Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1e-4, 0.0, 1.0);
-        // x' = x / (1 + 1e-4 x): the right corners move by 100 - 100 / 1.01 across, the lower right by 50 - 50 / 1.01
-        // along.
+        // x' = x / (1 + 1e-4 x): the right corners move by 100 - 100 / 1.01 horizontally, and the lower right one by 50
+        // - 50 / 1.01 vertically.
         let (across, along): (f64, f64) = (100.0 - 100.0 / 1.01, 50.0 - 50.0 / 1.01);
         let worst = Transform::Homography(h).corner_distance(&Transform::Identity, 101, 51);
         assert!((worst - across.hypot(along)).abs() < 1e-9);

@@ -1,8 +1,7 @@
 //! The models of a transform: unmoved, shift, rigid, homography; and the nearest transform of a model.
 //!
-//! In: a transform, or its matrix. Out: its [`Model`]; the nearest transform of a smaller model. Cost:
-//! negligible. Source: Hartley & Zisserman, Multiple View Geometry (2nd ed., 2004), section 2.4 (a hierarchy of
-//! transformations).
+//! In: a transform, or its matrix. Out: its [`Model`]; the nearest transform of a smaller model. Cost: negligible.
+//! Source: Hartley & Zisserman, Multiple View Geometry (2nd ed., 2004), section 2.4 (a hierarchy of transformations).
 
 use super::Transform;
 use nalgebra::Matrix3;
@@ -22,7 +21,8 @@ pub enum Model {
 }
 
 impl Model {
-    /// The smallest model of the kind of `transform`.
+    /// Returns the smallest model that contains `transform` as it is stored; the matrix of a homography is not
+    /// examined.
     pub fn of(transform: &Transform) -> Self {
         match *transform {
             Transform::Identity => Model::Unmoved,
@@ -33,7 +33,8 @@ impl Model {
     }
 }
 
-/// The matrix of the transform of `model` nearest to `h`: the one with the same shift and rotation at the centre.
+/// Returns the matrix of the transform of `model` that is nearest to `h`: it has the same shift and rotation at the
+/// centre.
 pub(crate) fn restrict(h: &Matrix3<f64>, model: Model, width: usize, height: usize) -> Matrix3<f64> {
     let transform = Transform::Homography(*h);
     let (dx, dy) = transform.shift_px(width, height);
@@ -48,7 +49,7 @@ pub(crate) fn restrict(h: &Matrix3<f64>, model: Model, width: usize, height: usi
     }
 }
 
-/// The transform of `model` with the same shift and rotation at the centre as `h`.
+/// Returns the transform of `model` that has the same shift and rotation at the centre as `h`.
 pub(crate) fn to_transform(h: &Matrix3<f64>, model: Model, width: usize, height: usize) -> Transform {
     let whole = Transform::Homography(h / h[(2, 2)]);
     let (dx, dy) = whole.shift_px(width, height);

@@ -25,8 +25,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// Options of the search.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct FindOptions {
-    /// Brackets have exactly this number of photographs; then photographs without exposure or time are also grouped,
-    /// by name. Default: any number from 2 to 32.
+    /// Number of photographs of every bracket. If it is given, photographs without exposure or time are also grouped;
+    /// those without time in order of name. Default: any number from 2 to 32.
     pub frames: Option<usize>,
     /// Longest pause within a bracket, from the end of an exposure to the start of the next, in seconds. Default:
     /// 120.
@@ -42,9 +42,9 @@ pub struct FindOptions {
 /// The brackets and other files in the folders.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Found {
-    /// By folder, then by time.
+    /// The brackets, sorted by folder, then by time.
     pub brackets: Vec<FoundBracket>,
-    /// Photographs that are in no bracket, and folders that cannot be read; by name.
+    /// Photographs that are in no bracket, and folders that cannot be read; sorted by path.
     pub left_over: Vec<LeftOver>,
     /// Number of files that are not photographs by name: videos, texts, results.
     pub other_files: usize,
@@ -53,18 +53,20 @@ pub struct Found {
 /// A bracket.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FoundBracket {
-    /// The searched folder that contains it.
+    /// The searched folder that contains the bracket.
     pub root: PathBuf,
     /// The folder of its first photograph, relative to `root`; empty for `root` itself.
     pub folder: PathBuf,
-    /// In order of time, or of name if the time is not known; at least two.
+    /// The photographs, at least two, in order of time, or of name if the time is not known.
     pub photographs: Vec<Shot>,
-    /// The number of its panorama, from 0: brackets of one set were taken one after the other, with the same pattern.
+    /// The number of the panorama that contains the bracket, from 0: brackets of one panorama were taken one after the
+    /// other, with the same pattern.
     pub set: usize,
 }
 
 impl FoundBracket {
-    /// Returns the relative exposure t ISO / N^2 (s) of each photograph as it is merged, if its file has one.
+    /// Returns the relative exposure t ISO / N^2 (s) with which each photograph is merged; `None` if its EXIF tags do
+    /// not suffice.
     pub fn exposures(&self) -> Vec<Option<f64>> {
         let tags: Vec<_> = self.photographs.iter().map(|shot| shot.header.exposure).collect();
         let (exposures, _) = exposure::by_tags(&tags);
@@ -75,18 +77,18 @@ impl FoundBracket {
 /// A photograph in a bracket.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Shot {
-    /// The file: the searched folder and the relative path.
+    /// The path of the file: the searched folder joined with the path relative to it.
     pub path: PathBuf,
     /// Its header.
     pub header: Header,
 }
 
-/// A photograph in no bracket.
+/// A photograph that is in no bracket, or a folder that cannot be read.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LeftOver {
     /// The file or the folder.
     pub path: PathBuf,
-    /// The reason, with the remedy.
+    /// Why it is in no bracket.
     pub reason: Reason,
 }
 
@@ -94,17 +96,17 @@ pub struct LeftOver {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum Reason {
-    /// A raw file; the photograph that is used instead, if there is one.
+    /// It is a raw file. Contains the photograph that is used instead, if there is one.
     Raw(Option<PathBuf>),
-    /// A photograph in an unsupported format.
+    /// It is in an unsupported format. Contains the name of the format.
     Format(&'static str),
-    /// Another file of the same shot is used.
+    /// Another file of the same shot is used. Contains the path of that file.
     Twin(PathBuf),
-    /// The same file is used under another name.
+    /// The same file is used under another path. Contains that path.
     SameFile(PathBuf),
-    /// A file written by hdralign, with its program name.
+    /// hdralign wrote it. Contains the name and version of the program from its EXIF.
     Result(String),
-    /// It cannot be read, with the reason.
+    /// It cannot be read. Contains the error.
     Unreadable(String),
     /// Its EXIF has no exposure.
     NoExposure,
@@ -112,13 +114,14 @@ pub enum Reason {
     Flash,
     /// No photograph of another exposure is close enough in time.
     Single,
-    /// It is in a series of so many photographs with one exposure.
+    /// It is in a series of photographs with one exposure. Contains their number.
     Burst(usize),
-    /// With `frames`: fewer than so many are left of its kind.
+    /// With [`FindOptions::frames`], which it contains: too few photographs around it are left for a bracket.
     Remainder(usize),
-    /// With `by_folder`: its size, and that of the others.
+    /// With [`FindOptions::by_folder`]: contains its width and height, which differ from those of the bracket, and the
+    /// bracket's.
     OtherSize((usize, usize), (usize, usize)),
-    /// With `by_folder`: it is the only one.
+    /// With [`FindOptions::by_folder`]: no other photograph of the folder has its size.
     Alone,
 }
 
@@ -148,26 +151,30 @@ impl fmt::Display for Reason {
             ),
             Reason::Burst(count) => write!(
                 f,
-                "one of {count} in a row with the same exposure; if their EXIF is wrong, group them with --bracket N or --by-folder"
+                "one of {count} in a row with the same exposure; if their EXIF is wrong, give --bracket N (each N in a row are a bracket) or --by-folder"
             ),
             Reason::Remainder(frames) => {
-                write!(f, "it and the photographs around it are fewer than the {frames} of a bracket")
+                write!(f, "too few photographs are left around it for a bracket of {frames}")
             }
             Reason::OtherSize(own, others) => {
-                write!(f, "{}x{} pixels in a folder of {}x{}", own.0, own.1, others.0, others.1)
+                write!(
+                    f,
+                    "it has {}x{} pixels, but the bracket of its folder has {}x{}",
+                    own.0, own.1, others.0, others.1
+                )
             }
             Reason::Alone => write!(f, "the only photograph in its folder"),
         }
     }
 }
 
-/// Finds the brackets in the folders `roots` and below. Calls `watch` with the number of headers read so far, from
-/// any thread.
+/// Finds the brackets in the folders `roots` and the folders below them. Calls `watch` with the number of headers read
+/// so far, from any thread.
 ///
 /// # Errors
 /// [`Error::Read`](crate::error::Error::Read) if one of `roots` is not a folder or cannot be read;
-/// [`Error::Option`](crate::error::Error::Option) if a bracket would have fewer than two photographs, or for an
-/// invalid pause. Other faults are in [`Found::left_over`].
+/// [`Error::Option`](crate::error::Error::Option) if [`FindOptions::frames`] is below 2, or [`FindOptions::gap_s`] is
+/// invalid. Files and folders below `roots` that cannot be read are in [`Found::left_over`].
 pub fn find(roots: &[PathBuf], options: &FindOptions, watch: &(dyn Fn(usize) + Sync)) -> Result<Found> {
     streams::check(options)?;
     let walk::Walk { candidates, mut left_over, other_files } = walk::walk(roots, &options.skip)?;

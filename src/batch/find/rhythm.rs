@@ -1,14 +1,16 @@
 //! The pauses between exposures and their cost within a bracket.
 //!
-//! In: exposures in order of time. Out: the seconds from the end of each to the start of the next, and the cost of
-//! such pauses within one bracket. Cost: negligible. Source: EXIF 2.32 does not define whether DateTimeOriginal is
-//! the start or the end of an exposure. Most cameras write the start, some the end; long exposures show which.
+//! In: exposures in order of time. Out: the pauses (the seconds from the end of each exposure to the start of the
+//! next), and their cost if the exposures are one bracket. Cost: negligible. Source: EXIF 2.32 does not define whether
+//! DateTimeOriginal is the start or the end of an exposure. Most cameras write the start, some the end; long exposures
+//! show which.
 
 use crate::statistics::of_rank;
 
-/// Longest pause within a bracket unless the user gives one, in seconds. Changing a dial by hand in the dark takes more than a minute.
+/// Longest pause within a bracket unless the user gives one, in seconds. Changing a dial by hand in the dark may take
+/// more than a minute.
 pub(super) const GAP_S: f64 = 120.0;
-/// Longest pause between the brackets of a panorama, in seconds: only the head is turned.
+/// Longest pause between the brackets of a panorama, in seconds: the photographer only turns the tripod head.
 pub(super) const SET_S: f64 = 60.0;
 /// Longest pause within a burst, in seconds.
 pub(super) const BURST_S: f64 = 10.0;
@@ -26,7 +28,8 @@ pub(super) struct TimedExposure {
     pub ev: Option<f64>,
     /// The exposure mode.
     pub mode: Mode,
-    /// The position in the bracket, or the compensation, as recorded by the camera, in stops.
+    /// The position in the bracketing sequence, in stops, if the camera records it; otherwise the exposure
+    /// compensation.
     pub place: Option<f64>,
     /// The exposure compensation in addition to the position in the bracketing sequence, in stops.
     pub bias: Option<f64>,
@@ -51,8 +54,9 @@ pub(super) enum Clock {
     End,
 }
 
-/// Determines what the clock records. Exposures cannot overlap, so the choice with less overlap is right; the start
-/// if they are equal. With a clock of whole seconds both choices have some overlap, and the wrong one has more.
+/// Determines which end of an exposure the clock records. Exposures cannot overlap in time, so it is the end for which
+/// the computed exposures overlap less; the start if both overlap equally. With a clock of whole seconds there is some
+/// overlap for the right end too.
 pub(super) fn clock(exposures: &[TimedExposure]) -> Clock {
     let overlap = |exposed: fn(&[TimedExposure]) -> f64| {
         let of = |pair: &[TimedExposure]| Some((exposed(pair) - apart(pair)?).max(0.0));
@@ -76,18 +80,20 @@ pub(super) fn gap(a: &TimedExposure, b: &TimedExposure, clock: Clock) -> Option<
     Some((b.at_s? - a.at_s? - exposed).max(0.0))
 }
 
-/// Pauses up to this length cost little: a camera in an automatic bracket, and hands at the dials.
+/// Length in seconds up to which a pause costs little if the camera takes the bracket automatically.
 const UNHURRIED_AUTO_S: f64 = 1.0;
+/// Length in seconds up to which a pause costs little in manual mode: the photographer turns dials.
 const UNHURRIED_S: f64 = 15.0;
+/// Length in seconds up to which a pause costs little in other modes, and if the mode is not known.
 const UNHURRIED_UNKNOWN_S: f64 = 4.0;
-/// Factor between the cost of a pause and the logarithm of its length.
+/// Factor from the logarithm of the length of a pause to its cost.
 const LONG: f64 = 0.6;
-/// The same for its ratio to the other pauses.
+/// Factor from the logarithm of the ratio between a pause and the median pause of the bracket to its cost.
 const UNEVEN: f64 = 0.8;
-/// Random differences between pauses, in seconds.
+/// Size of random differences between the pauses of a bracket, in seconds.
 const JITTER_S: f64 = 0.5;
 
-/// Returns the cost of the pauses of a bracket: for the length of each, and for differing from the median.
+/// Returns the cost of the pauses of a bracket: for the length of each, and for its difference from the median pause.
 pub(super) fn cost(exposures: &[TimedExposure], gaps: &[Option<f64>]) -> f64 {
     let known: Vec<f64> = gaps.iter().flatten().copied().collect();
     let rank = known.len().saturating_sub(1) / 2;
@@ -102,7 +108,7 @@ pub(super) fn cost(exposures: &[TimedExposure], gaps: &[Option<f64>]) -> f64 {
             _ => UNHURRIED_UNKNOWN_S,
         };
         let resolution = pair[0].resolution_s.max(pair[1].resolution_s);
-        // Cameras take as long as a long exposure to subtract its noise.
+        // After a long exposure, the camera may take a dark frame of the same length to subtract the noise.
         let scale = unhurried + resolution + pair[0].time_s;
         let jitter = JITTER_S + resolution + pair[0].time_s;
         sum += LONG * libm::log1p(gap / scale);

@@ -1,14 +1,15 @@
 //! Divides the exposures of one camera into brackets, at the smallest cost.
 //!
-//! In: the exposures of one stream in order of time. Out: the ranges that are brackets; photographs between them are
-//! in none. Cost: the number of frames times [`MOST_FRAMES`] times the length of a bracket.
+//! In: the exposures of one stream in order of time. Out: the ranges that are brackets; photographs between the ranges
+//! are in no bracket. Cost: the number of frames times [`MOST_FRAMES`] times the length of a bracket.
 //!
 //! The cost of a division into brackets and single photographs is a sum: a single costs [`SINGLE`], a bracket
 //! [`BRACKET`] plus the costs of what is unusual about it (see [`cost`]). The division with the smallest cost is
-//! found by dynamic programming. This assigns a stray frame beside a repeated pattern correctly; rules that proceed
-//! from frame to frame use it as the first frame of the pattern, and all later brackets are wrong by one. Costs are
-//! in nats: 1 means "2.7 times less likely". Source: Jackson et al. 2005, "An algorithm for optimal partitioning of
-//! data on an interval", for the algorithm; the costs are our own, set with the simulated photographers of the tests.
+//! found by dynamic programming. This recognises a stray frame beside a repeated pattern. Rules that proceed from frame
+//! to frame would use the stray frame as the first frame of the pattern, and all later brackets would be wrong by one.
+//! Costs are in nats: 1 means "2.7 times less likely". Source of the algorithm: Jackson et al. 2005, "An algorithm for
+//! optimal partitioning of data on an interval". The costs are our own, set with the simulated photographers of the
+//! tests.
 
 use super::rhythm::{self, Clock, Mode, TimedExposure};
 use crate::statistics::median;
@@ -18,62 +19,69 @@ use std::ops::Range;
 /// Known properties of the brackets.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Rules {
-    /// Every bracket has this number of frames.
+    /// Number of frames of every bracket; `None` for any number.
     pub frames: Option<usize>,
     /// Longest pause within a bracket, in seconds.
     pub gap_s: f64,
 }
 
-/// Largest number of frames of a bracket if the user gives none.
+/// Largest number of frames of a bracket if the user does not give the number.
 pub(super) const MOST_FRAMES: usize = 32;
-/// Exposures within this distance, in stops, are equal: half of the smallest step of a camera.
+/// Difference in stops below which exposures are equal: half of the smallest step of a camera.
 pub(super) const SAME_STOPS: f64 = 0.17;
 /// Smallest range of the exposures of a bracket, in stops.
 pub(super) const LEAST_STOPS: f64 = 0.5;
 
 /// Cost of a photograph in no bracket.
 const SINGLE: f64 = 3.0;
-/// The same if the user gives the number of frames.
+/// Cost of a photograph in no bracket if the user gives the number of frames of a bracket.
 const SINGLE_OF_COUNTED: f64 = 8.0;
-/// Cost of a bracket, without unusual properties.
+/// Cost of a bracket of three frames without unusual properties.
 const BRACKET: f64 = 4.0;
-/// Two frames, which are as often chance.
+/// Additional cost of a bracket of two frames, because two exposures often differ by chance.
 const TWO: f64 = 1.5;
-/// For each two frames more than three: brackets of 3, 5, 7 and 9 are common.
+/// Additional cost of a bracket of 4, 6, 8, 10 or more frames: brackets of 3, 5, 7 and 9 are common.
 const UNUSUAL_COUNT: f64 = 0.3;
-/// A range of less than a stop.
+/// Cost of a range of exposures of less than a stop.
 const NARROW: f64 = 1.0;
-/// A repeated exposure.
+/// Cost of each repeated exposure.
 const TWICE: f64 = 4.0;
-/// If there are more repeated exposures, no longer bracket is tried.
+/// Largest number of repeated exposures in a range that is considered as a bracket.
 const MOST_TWICE: usize = 5;
-/// A repeated last exposure, at the end of a ladder of [`LONG_LADDER`] frames: the dial was at its end.
+/// Cost of a repeated exposure if it is that of the last frame, after at least [`LONG_LADDER`] frames: the dial was at
+/// its end.
 const ONCE_MORE: f64 = 1.5;
+/// Number of frames from which a repeated last exposure costs [`ONCE_MORE`].
 const LONG_LADDER: usize = 5;
-/// A step that differs from the others, and the largest sum of these.
+/// Cost of each step that differs from the median step.
 const ODD_STEP: f64 = 1.5;
+/// Largest cost of all steps that differ from the median step.
 const ODD_STEPS: f64 = 4.0;
-/// A change of direction, in an order that no camera uses.
+/// Cost of each change between brighter and darker, if the order is one that no camera uses.
 const TURN: f64 = 0.7;
+/// Largest cost of all changes between brighter and darker.
 const TURNS: f64 = 5.0;
-/// A frame in automatic bracket mode next to one in another mode.
+/// Cost of mixing frames in automatic bracket mode with frames in other modes, for each frame of the smaller group.
 const MIXED: f64 = 8.0;
-/// Change of exposure, in stops, up to which it may come from the light meter rather than from the photographer.
+/// Cost of each step in automatic mode that the recorded compensation does not explain: the light may have changed.
 const METERED: f64 = 3.0;
-/// The same within a second, by a stop or more and evenly: cameras that do not record bracketing. Light does not
-/// change like this.
+/// Cost of such a step (see [`METERED`]) of about a stop or more within [`AT_ONCE_S`], if the steps of the bracket are
+/// even: light does not change like this, so the camera took a bracket without recording it.
 const METERED_AT_ONCE: f64 = 0.7;
+/// Longest pause before a step that costs only [`METERED_AT_ONCE`], in seconds.
 const AT_ONCE_S: f64 = 1.0;
-/// A position in the bracket that was recorded before.
+/// Cost of each position in the camera's bracketing sequence that an earlier frame has too.
 const PLACE_TWICE: f64 = 2.5;
+/// Largest cost of all repeated positions.
 const PLACES_TWICE: f64 = 5.0;
-/// Three or more frames with different positions of one bracket.
+/// Gain (negative cost) if three or more frames have different positions in the camera's bracketing sequence.
 const PLACES: f64 = 2.0;
-/// The camera's bracket was shifted by its own length, which continues the ladder: not by chance.
+/// Gain (negative cost) if the camera's sequence was repeated with another compensation and continues the ladder of
+/// exposures, which does not happen by chance.
 const EXTENDED: f64 = 4.0;
-/// The same steps again: two brackets rather than one.
+/// Cost if the same steps occur twice or more in a row: probably these are several brackets.
 const REPEATED: f64 = 4.0;
-/// Largest gain of a pattern that is found often.
+/// Largest gain (negative cost) of a pattern that is found often.
 const POPULAR: f64 = 2.5;
 
 /// Returns the brackets of `exposures` as ranges in order.
@@ -81,8 +89,8 @@ pub(super) fn brackets(exposures: &[TimedExposure], clock: Clock, rules: &Rules)
     let gaps = rhythm::gaps(exposures, clock);
     let mut popular = Popular::default();
     let mut found = divided(exposures, &gaps, rules, &popular);
-    // Patterns that were found often become more likely. Two passes are enough, because the pattern of a card settles
-    // at once.
+    // Patterns that were found often become more likely. Two further passes are enough, because the frequent patterns
+    // of a card are known after the first pass.
     for _ in 0..2 {
         popular = Popular::of(exposures, &found);
         let again = divided(exposures, &gaps, rules, &popular);
@@ -94,18 +102,20 @@ pub(super) fn brackets(exposures: &[TimedExposure], clock: Clock, rules: &Rules)
     found
 }
 
-/// Returns the division with the smallest cost, by dynamic programming over the start of the last bracket. Of equal
-/// divisions it is the one whose brackets come first.
+/// Returns the division with the smallest cost, by dynamic programming over the start of the last bracket. Of divisions
+/// with equal cost it is the one whose brackets start first.
 fn divided(exposures: &[TimedExposure], gaps: &[Option<f64>], rules: &Rules, popular: &Popular) -> Vec<Range<usize>> {
     let single = if rules.frames.is_some() { SINGLE_OF_COUNTED } else { SINGLE };
-    // The cost of the frames before each frame, and the start of the last part of them.
+    // best[end]: cost and start of the last part (a bracket or a single frame) in the cheapest division of the frames
+    // before `end`. The cost of that whole division is reached[end].
     let mut best = vec![(0.0, 0); exposures.len() + 1];
     let mut reached = vec![f64::INFINITY; exposures.len() + 1];
     reached[0] = 0.0;
     for begin in 0..exposures.len() {
         let so_far = reached[begin];
         let mut offer = |end: usize, cost: f64| {
-            // Later starts are tried later: at equal cost the single photographs come last.
+            // `<=` (with a tolerance): of last parts with equal cost, the one that starts latest is kept, so that
+            // brackets come first and single photographs last.
             if so_far + cost <= reached[end] + 1e-9 {
                 reached[end] = so_far + cost;
                 best[end] = (cost, begin);
@@ -146,7 +156,7 @@ fn divided(exposures: &[TimedExposure], gaps: &[Option<f64>], rules: &Rules, pop
     found
 }
 
-/// Whether the lens was not zoomed between two frames: within a hundredth.
+/// Returns whether two frames have the same focal length, within 1 %; true if one of them is not known.
 pub(super) fn is_one_view(a: &TimedExposure, b: &TimedExposure) -> bool {
     match (a.focal_length_mm, b.focal_length_mm) {
         (Some(a), Some(b)) => (a - b).abs() <= 0.01 * a.max(b),
@@ -156,14 +166,14 @@ pub(super) fn is_one_view(a: &TimedExposure, b: &TimedExposure) -> bool {
 
 /// Returns the cost of `exposures` as a bracket with the pauses `gaps`, or `None` if it cannot be one.
 ///
-/// The cost is the sum for: the bracket itself; long and uneven pauses; repeated exposures; uneven steps; an order
-/// that no camera uses; frames that were metered separately, or without automatic bracketing beside frames with it;
-/// repeated positions in the camera's own bracket; the same steps twice in a row. It is less if the camera records
-/// different positions of one bracket.
+/// The cost is the sum for: the number of frames; a narrow range; long and uneven pauses; repeated exposures; uneven
+/// steps; an order that no camera uses; frames that were metered separately, or without automatic bracketing beside
+/// frames with it; repeated positions in the camera's bracketing sequence; the same steps twice in a row. It is less if
+/// the camera records different positions, or continues its sequence with another compensation.
 fn cost(exposures: &[TimedExposure], gaps: &[Option<f64>], rules: &Rules) -> Option<f64> {
     let known: Option<Vec<f64>> = exposures.iter().map(|b| b.ev).collect();
     let Some(evs) = known else {
-        // Without exposures only the user's number is used.
+        // If an exposure is not known, only the number of frames that the user gives makes a bracket.
         return rules.frames.map(|_| 0.0);
     };
     let sorted = in_order(&evs);
@@ -228,14 +238,14 @@ fn of_steps(sorted: &[f64]) -> f64 {
     (ODD_STEP * odd as f64).min(ODD_STEPS)
 }
 
-/// Returns the cost of changes between brighter and darker, if the order is none that cameras use: monotone; from the
-/// middle one way and then the other; or alternating outward.
+/// Returns the cost of changes between brighter and darker. It is 0 for the orders that cameras use: monotone; the
+/// middle and then all others from one end to the other; or from the middle outward, alternating.
 fn of_order(evs: &[f64]) -> f64 {
     let signs: Vec<bool> = evs.windows(2).filter(|w| !is_same(w[0], w[1])).map(|w| w[1] > w[0]).collect();
     let turns = signs.windows(2).filter(|w| w[0] != w[1]).count();
     let rank = |ev: f64| evs.iter().filter(|&&other| other < ev).count();
     let is_from_the_middle = rank(evs[0]) == (evs.len() - 1) / 2 || rank(evs[0]) == evs.len() / 2;
-    // After the middle frame: one way through all of them, skipping the middle.
+    // The frames after the middle one are in order from one end to the other, such as 0 -2 -1 1 2.
     let is_one_way = |evs: &[f64]| {
         evs.windows(2).all(|w| w[1] > w[0] + SAME_STOPS) || evs.windows(2).all(|w| w[1] < w[0] - SAME_STOPS)
     };
@@ -250,7 +260,8 @@ fn of_order(evs: &[f64]) -> f64 {
     }
 }
 
-/// Returns the cost of frames without automatic bracketing among frames with it, and of steps of the light meter.
+/// Returns the cost of frames without automatic bracketing among frames with it, and of steps in automatic mode that
+/// the recorded compensation does not explain.
 fn of_modes(exposures: &[TimedExposure], gaps: &[Option<f64>], evs: &[f64]) -> f64 {
     let count = |mode: Mode| exposures.iter().filter(|b| b.mode == mode).count();
     let (bracketed, others) = (count(Mode::AutoBracket), count(Mode::Manual) + count(Mode::Automatic));
@@ -260,7 +271,7 @@ fn of_modes(exposures: &[TimedExposure], gaps: &[Option<f64>], evs: &[f64]) -> f
         let (a, b) = (&exposures[i], &exposures[i + 1]);
         let asked = b.place.unwrap_or(0.0) - a.place.unwrap_or(0.0);
         let given = evs[i + 1] - evs[i];
-        // The photographer uses the compensation dial; the light may have changed by half a stop in the meantime.
+        // If the photographer turned the compensation dial, the light may have changed by half a stop in the meantime.
         let most = if is_same(asked, 0.0) { SAME_STOPS } else { 0.5 };
         if a.mode != Mode::Automatic || b.mode != Mode::Automatic || (given - asked).abs() <= most {
             return 0.0;
@@ -272,7 +283,7 @@ fn of_modes(exposures: &[TimedExposure], gaps: &[Option<f64>], evs: &[f64]) -> f
     mixed + (0..gaps.len()).map(of_step).sum::<f64>()
 }
 
-/// Returns the cost of the positions recorded by the camera.
+/// Returns the cost of repeated positions in the camera's bracketing sequence; negative if all positions differ.
 fn of_places(exposures: &[TimedExposure]) -> f64 {
     let places: Vec<f64> = exposures.iter().filter(|b| b.mode != Mode::Manual).filter_map(|b| b.place).collect();
     let Some(&first) = places.first() else { return 0.0 };
@@ -287,8 +298,8 @@ fn of_places(exposures: &[TimedExposure]) -> f64 {
     }
 }
 
-/// Whether the camera went through its bracket more than once, each time with another compensation, and all frames
-/// together are one ladder of even steps without repetition.
+/// Returns whether the camera went through its bracketing sequence more than once, each time with another compensation,
+/// and all frames together are one ladder of even steps without repetition.
 fn is_extended(exposures: &[TimedExposure], sorted: &[f64]) -> bool {
     let taken: Option<Vec<(f64, f64)>> = exposures.iter().map(|b| Some((b.place?, b.bias?))).collect();
     let Some(taken) = taken else { return false };
@@ -302,7 +313,7 @@ fn is_extended(exposures: &[TimedExposure], sorted: &[f64]) -> bool {
             begin = i;
         }
     }
-    // Some cameras record the compensation on the dial, some the sum of it and the position.
+    // As bias, some cameras record the compensation on the dial, others the sum of compensation and position.
     let is_shifted = |dialled: fn(&(f64, f64)) -> f64| {
         let is_constant = |run: &&[(f64, f64)]| run.iter().all(|frame| is_same(dialled(frame), dialled(&run[0])));
         runs.iter().all(is_constant) && runs.windows(2).all(|w| !is_same(dialled(&w[0][0]), dialled(&w[1][0])))
@@ -322,12 +333,12 @@ fn of_repeats(evs: &[f64]) -> f64 {
                 is_same(later - earlier, offset)
             })
     };
-    // A ladder of equal steps also repeats itself; this has no meaning.
+    // A ladder of equal steps also consists of repeated steps; it is one bracket nevertheless.
     let is_ladder = of_order(evs) == 0.0;
     if !is_ladder && (2..=evs.len() / 2).any(is_repeated) { REPEATED } else { 0.0 }
 }
 
-/// The patterns of the brackets found so far, with their numbers.
+/// Number of brackets found so far for each [`pattern`].
 #[derive(Debug, Default)]
 struct Popular(BTreeMap<Vec<i32>, usize>);
 
@@ -349,7 +360,7 @@ impl Popular {
     }
 }
 
-/// Returns the steps of a bracket from its first frame, in thirds of a stop.
+/// Returns the exposure of each frame of a bracket relative to its first frame, in thirds of a stop.
 fn pattern(exposures: &[TimedExposure]) -> Option<Vec<i32>> {
     let first = exposures.first()?.ev?;
     exposures.iter().map(|b| Some(libm::round((b.ev? - first) * 3.0) as i32)).collect()

@@ -1,6 +1,6 @@
-//! Streams: photographs in which the frames of a bracket follow each other, and the brackets in them.
+//! Divides photographs into streams, in which the frames of a bracket follow each other, and streams into brackets.
 //!
-//! In: photographs. Out: [`Found`]. Cost: that of [`segment`], and of sorting.
+//! In: photographs. Out: [`Found`]. Cost: that of [`segment`] and of sorting the photographs.
 //!
 //! A stream contains the photographs of one camera with one lens at one size, with or without flash, in one folder.
 //! The numbered folders of a card (DCF 2.0, section 3.2.3: 100CANON, 101CANON) count as one, because the counter may
@@ -37,7 +37,7 @@ pub(super) fn check(options: &FindOptions) -> Result<()> {
     }
 }
 
-/// What the frames of a bracket have in common.
+/// The properties that all photographs of a stream have in common.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 struct Stream {
     folder: Folder,
@@ -47,7 +47,7 @@ struct Stream {
     lens: Option<String>,
     size: (usize, usize),
     flash: bool,
-    /// Photographs without a time are sorted by name.
+    /// Whether the photographs have a time; those without are in streams of their own, sorted by name.
     is_timed: bool,
 }
 
@@ -72,7 +72,7 @@ impl Folder {
     }
 }
 
-/// A bracket; panoramas are numbered within its stream.
+/// A bracket; `set` is the number of its panorama within the stream.
 struct Grouped {
     place: std::sync::Arc<Place>,
     frames: Vec<Placed>,
@@ -84,7 +84,7 @@ pub(super) fn grouped(photographs: Vec<Placed>, options: &FindOptions, left_over
     let mut left_over = left_over;
     let per_stream: Vec<(Vec<Grouped>, Vec<LeftOver>)> =
         if options.by_folder { by_folder(photographs) } else { by_time(photographs, options) };
-    // Panoramas are numbered in the order of the brackets of all streams.
+    // The final numbers of panoramas follow the order of the brackets of all streams.
     let mut brackets: Vec<(usize, Grouped)> = Vec::new();
     for (stream, (grouped, left)) in per_stream.into_iter().enumerate() {
         left_over.extend(left);
@@ -147,7 +147,8 @@ fn by_time(photographs: Vec<Placed>, options: &FindOptions) -> Vec<(Vec<Grouped>
         .collect()
 }
 
-/// Divides one stream; `is_odd` if the flash fired for it and not for the others.
+/// Divides the photographs of one stream into brackets and photographs in no bracket. `is_odd`: the flash fired for
+/// these photographs, but not for others of the same camera and folder.
 fn divided(mut photographs: Vec<Placed>, options: &FindOptions, is_odd: bool) -> (Vec<Grouped>, Vec<LeftOver>) {
     let mut left = Vec::new();
     if options.frames.is_none() {
@@ -194,7 +195,8 @@ fn divided(mut photographs: Vec<Placed>, options: &FindOptions, is_odd: bool) ->
     (grouped, left)
 }
 
-/// Sorts by time, and by name within one tick of the clock, with the last number of a counter before its first.
+/// Sorts by time. Photographs with equal time are sorted by name; if the counter in their names rolled over, 9999 comes
+/// before 0001.
 fn sort(photographs: &mut [Placed]) {
     let moment = |placed: &Placed| placed.shot.header.taken;
     photographs.sort_by(|a, b| moment(a).cmp(&moment(b)).then_with(|| natural(&a.shot.path, &b.shot.path)));
@@ -217,7 +219,7 @@ fn number(path: &Path) -> Option<u32> {
 /// Converts the headers of a stream for [`segment`].
 fn exposures(photographs: &[Placed]) -> Vec<TimedExposure> {
     let begin = photographs.first().and_then(|placed| placed.shot.header.taken);
-    // Canon's maker notes record the position in the bracket; other cameras set the compensation.
+    // Canon's maker notes record the position in the bracket; other cameras add it to the recorded compensation.
     let has_places = photographs.iter().any(|p| p.shot.header.bracket_stops.is_some_and(|stops| stops != 0.0));
     photographs
         .iter()
@@ -242,8 +244,8 @@ fn exposures(photographs: &[Placed]) -> Vec<TimedExposure> {
         .collect()
 }
 
-/// Returns the panorama of each bracket, from 0: brackets with the same steps and focal length that follow each other
-/// within [`rhythm::SET_S`].
+/// Returns the number of the panorama of each bracket, from 0. A panorama consists of brackets with the same steps and
+/// focal length that follow each other within [`rhythm::SET_S`].
 fn sets(exposures: &[TimedExposure], clock: Clock, ranges: &[Range<usize>]) -> Vec<usize> {
     let steps = |range: &Range<usize>| {
         let mut evs: Vec<f64> = exposures[range.clone()].iter().filter_map(|b| b.ev).collect();
@@ -252,7 +254,7 @@ fn sets(exposures: &[TimedExposure], clock: Clock, ranges: &[Range<usize>]) -> V
     };
     let is_one_pattern = |a: &Range<usize>, b: &Range<usize>| {
         let (first, second) = (steps(a), steps(b));
-        // Each end has the rounding error of the recorded values.
+        // Twice the tolerance, because both exposures of a difference have the rounding error of recorded values.
         let is_step = |i: usize| ((first[i] - first[0]) - (second[i] - second[0])).abs() < 2.0 * SAME_STOPS;
         !first.is_empty() && a.len() == b.len() && first.len() == second.len() && (0..first.len()).all(is_step)
     };
@@ -272,7 +274,8 @@ fn sets(exposures: &[TimedExposure], clock: Clock, ranges: &[Range<usize>]) -> V
     sets
 }
 
-/// Returns for each photograph in no bracket the length of its series with one exposure; `None` for a single one.
+/// Returns for each photograph the number of photographs in its burst (consecutive photographs in no bracket, with one
+/// exposure), or `None` if it is in no burst.
 fn bursts(exposures: &[TimedExposure], clock: Clock, ranges: &[Range<usize>]) -> Vec<Option<usize>> {
     let mut is_free = vec![true; exposures.len()];
     ranges.iter().for_each(|range| is_free[range.clone()].fill(false));
@@ -294,7 +297,7 @@ fn bursts(exposures: &[TimedExposure], clock: Clock, ranges: &[Range<usize>]) ->
     bursts
 }
 
-/// Returns all photographs of a folder as one bracket, with the most frequent size.
+/// Returns one bracket for each folder: its photographs with the most frequent size. The others are in no bracket.
 fn by_folder(photographs: Vec<Placed>) -> Vec<(Vec<Grouped>, Vec<LeftOver>)> {
     let mut folders: BTreeMap<PathBuf, Vec<Placed>> = BTreeMap::new();
     for placed in photographs {

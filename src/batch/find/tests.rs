@@ -52,7 +52,7 @@ fn exif(says: &Says) -> Vec<u8> {
     block.into_inner()
 }
 
-/// A JPEG up to its picture data: only this part is read.
+/// Returns a JPEG that ends where its picture data would start: the search reads only this part.
 fn jpeg(exif: Option<Vec<u8>>, (width, height): (u16, u16)) -> Vec<u8> {
     let mut bytes = b"\xff\xd8".to_vec();
     let mut segment = |code: u8, content: &[u8]| {
@@ -74,7 +74,8 @@ fn put(folder: &Path, name: &str, says: &Says) {
     fs::write(folder.join(name), jpeg(Some(exif(says)), (300, 200))).unwrap();
 }
 
-/// Three frames of an automatic bracket, a third of a second apart, starting at `at`, from `IMG_{first}` on.
+/// Writes three frames of an automatic bracket, 0.33 s apart, starting at `at`, with numbers from `first` on in their
+/// names.
 fn put_bracket(folder: &Path, first: u32, at: u32, says: &Says) {
     for (i, (time, bias)) in [((1, 60), 0), ((1, 250), -2), ((1, 15), 2)].into_iter().enumerate() {
         let says = Says { at: at + 33 * i as u32, time, bias, ..says.clone() };
@@ -86,7 +87,7 @@ fn found(folder: &Path, options: &FindOptions) -> Found {
     find(&[folder.to_owned()], options, &|_| ()).unwrap()
 }
 
-/// The brackets as the names of their photographs, without the common part.
+/// Returns for each bracket the names of its photographs, without `IMG_` and extension.
 fn names(found: &Found) -> Vec<String> {
     let name = |shot: &Shot| shot.path.file_stem().unwrap().to_string_lossy().replace("IMG_", "");
     found.brackets.iter().map(|b| b.photographs.iter().map(name).collect::<Vec<_>>().join(" ")).collect()
@@ -101,7 +102,7 @@ fn reasons(found: &Found) -> Vec<(String, Reason)> {
 fn two_bodies_at_once_a_flash_and_a_stray_are_distinguished() {
     let folder = tempfile::tempdir().unwrap();
     put_bracket(folder.path(), 1, 100, &MIDDLE);
-    // Another camera in between, and the additional flash frame of real-estate photographers.
+    // A bracket of another camera at the same time, and the additional flash frame of real-estate photographers.
     put_bracket(folder.path(), 101, 116, &Says { model: "B", ..MIDDLE });
     put(folder.path(), "IMG_0004.JPG", &Says { at: 400, flash: true, mode: 1, ..MIDDLE });
     put(folder.path(), "IMG_0005.JPG", &Says { at: 700, mode: 0, ..MIDDLE });
@@ -109,7 +110,7 @@ fn two_bodies_at_once_a_flash_and_a_stray_are_distinguished() {
     let found = found(folder.path(), &FindOptions::default());
     assert_eq!(names(&found), ["0001 0002 0003", "0101 0102 0103", "0006 0007 0008"]);
     assert_eq!(reasons(&found), [("IMG_0004.JPG".into(), Reason::Flash), ("IMG_0005.JPG".into(), Reason::Single)]);
-    // 9 s after its first frame, with the same pattern: one panorama.
+    // The third bracket starts 9 s after the first, by the same camera with the same pattern: one panorama, number 0.
     assert_eq!(found.brackets.iter().map(|b| b.set).collect::<Vec<_>>(), [0, 1, 0]);
 }
 
@@ -170,7 +171,7 @@ fn each_shot_is_used_once_and_results_never() {
 fn a_tiff_is_used_in_place_of_its_jpeg() {
     let folder = tempfile::tempdir().unwrap();
     put_bracket(folder.path(), 1, 0, &MIDDLE);
-    // EXIF fields in a TIFF are a TIFF: with a picture of one pixel they are a complete file.
+    // For each JPEG a TIFF of the same name, exposure and time.
     for (i, (time, bias)) in [((1, 60), 0), ((1, 250), -2), ((1, 15), 2)].into_iter().enumerate() {
         let says = Says { at: 33 * i as u32, time, bias, ..MIDDLE };
         fs::write(folder.path().join(format!("IMG_{:04}.tif", i + 1)), tiff(&says)).unwrap();
@@ -184,7 +185,7 @@ fn a_tiff_is_used_in_place_of_its_jpeg() {
     assert_eq!(found.left_over.len(), 3);
 }
 
-/// A 16-bit TIFF of 4 x 2 pixels with the EXIF of `says`.
+/// Returns a 16-bit TIFF of 4 x 2 pixels with the EXIF of `says`.
 fn tiff(says: &Says) -> Vec<u8> {
     use tiff::encoder::{TiffEncoder, colortype};
     use tiff::tags::Tag as Number;

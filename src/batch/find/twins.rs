@@ -1,4 +1,4 @@
-//! One file for each shot: cameras write a raw file and a JPEG, and people develop a TIFF beside them.
+//! Selects one file for each shot: a camera may write a raw file and a JPEG, and the photographer may add a TIFF.
 //!
 //! In: the files and their headers. Out: the photographs, each shot once, and the other files. Cost: negligible.
 //! Source: DCF 2.0, section 4.4: files with the same name and different extensions are one object.
@@ -18,11 +18,11 @@ pub(super) struct Placed {
     pub(super) place: Arc<Place>,
 }
 
-/// Largest difference between the clocks of two files of one shot, in seconds: one program truncates fractions,
-/// another rounds.
+/// Largest difference between the recorded times of two files of one shot, in seconds: one program truncates fractions
+/// of a second, another rounds.
 const ONE_SHOT_S: f64 = 2.0;
 
-/// Returns the photographs among `files`, each shot once; others are added to `left_over`.
+/// Returns the photographs among `files`, one for each shot, and adds all other files to `left_over`.
 pub(super) fn photographs(
     files: Vec<(Candidate, Option<Result<Header>>)>,
     left_over: &mut Vec<LeftOver>,
@@ -50,7 +50,7 @@ pub(super) fn photographs(
             }
         }
     }
-    // The files with one name, best first.
+    // Files with the same name: the one to use comes first.
     for twins in by_name.values_mut() {
         twins.sort_by(|a, b| rank(&b.shot).cmp(&rank(&a.shot)).then_with(|| a.shot.path.cmp(&b.shot.path)));
     }
@@ -74,7 +74,8 @@ pub(super) fn photographs(
     kept
 }
 
-/// The rank of a file: whether it has an exposure, its depth, and whether its format is lossless.
+/// Returns the rank of a file, the larger the better: whether it has an exposure, its depth, and its format (TIFF
+/// before PNG before JPEG).
 fn rank(shot: &Shot) -> (bool, u8, u8) {
     let extension = shot.path.extension().unwrap_or_default().to_ascii_lowercase();
     let lossless = match extension.to_str() {

@@ -1,8 +1,8 @@
-//! The files in the folders, each once, in a fixed order.
+//! Lists the files in the folders, each once, in a fixed order.
 //!
 //! In: folders. Out: the [`Candidate`]s among them, by name, and what was skipped. Cost: that of listing the folders.
 //!
-//! Files come before links to them, for any order of the entries, so that the link is the one that is not used.
+//! Files come before links, in any order of the directory entries, so that of a file and a link to it the file is used.
 
 use super::{LeftOver, Reason};
 use crate::bracket::EXTENSIONS;
@@ -35,14 +35,14 @@ impl Candidate {
 pub(super) struct Place {
     /// The folder given by the user.
     pub(super) root: PathBuf,
-    /// The relative path from there.
+    /// The path relative to `root`.
     pub(super) folder: PathBuf,
-    /// The canonical path of the same folder.
+    /// The canonical path of this folder.
     pub(super) own: PathBuf,
 }
 
 impl Place {
-    /// Returns the path by which it was reached.
+    /// Returns the path by which the folder was reached.
     fn path(&self) -> PathBuf {
         self.root.join(&self.folder)
     }
@@ -94,7 +94,7 @@ pub(super) struct Walk {
     pub(super) other_files: usize,
 }
 
-/// Walks through `roots` and all folders below, except `skip` unless that is a root.
+/// Walks through `roots` and all folders below them, except the folders in `skip` that are not themselves in `roots`.
 pub(super) fn walk(roots: &[PathBuf], skip: &[PathBuf]) -> Result<Walk> {
     let mut roots: Vec<&PathBuf> = roots.iter().collect();
     roots.sort_by(|a, b| natural(a, b));
@@ -105,7 +105,7 @@ pub(super) fn walk(roots: &[PathBuf], skip: &[PathBuf]) -> Result<Walk> {
             let reason = "it is a file; name the folder that it is in";
             return Err(unreadable(io::Error::new(io::ErrorKind::InvalidInput, reason)));
         }
-        // A root that cannot be listed is an error; a folder in it is reported with the unused files.
+        // A root that cannot be listed is an error; a folder below a root is only reported with the unused files.
         fs::read_dir(root).map_err(unreadable)?;
         let own = fs::canonicalize(root).map_err(unreadable)?;
         open.push(Place { root: root.clone(), folder: PathBuf::new(), own });
@@ -117,7 +117,7 @@ pub(super) fn walk(roots: &[PathBuf], skip: &[PathBuf]) -> Result<Walk> {
     let (mut linked_files, mut linked_folders) = (Vec::new(), Vec::new());
     loop {
         let Some(place) = open.pop() else {
-            // All folders have been searched by their canonical path; now those that are reached only by a link.
+            // All folders that are reached without a link have been searched; now those that only a link reaches.
             linked_folders.sort_by(|a: &Place, b: &Place| natural(&a.path(), &b.path()));
             linked_folders.reverse();
             if linked_folders.is_empty() {
@@ -174,8 +174,8 @@ struct Entry {
     is_folder: bool,
 }
 
-/// Returns the entries of the folder `path`, by name, without hidden files and those of file servers and `hdralign
-/// inspect`.
+/// Returns the entries of the folder `path`, sorted by name, without hidden files, the folders `__MACOSX` (of zip
+/// files) and `@eaDir` (of file servers), and the folders that `hdralign inspect` writes.
 fn entries(path: &Path) -> io::Result<Vec<Entry>> {
     let mut entries = Vec::new();
     for entry in fs::read_dir(path)? {
@@ -198,8 +198,9 @@ fn entries(path: &Path) -> io::Result<Vec<Entry>> {
 }
 
 impl Walk {
-    /// Adds `linked`, and keeps each file once: once per folder for canonical paths, because copies on a card may be
-    /// hard links; links only to files that are not present yet. If a file is known by its path, that is not a copy.
+    /// Adds the symbolic links `linked` to the candidates, and keeps each file once. A file without symbolic link is
+    /// kept once per folder, because copies in other folders may be hard links; a symbolic link is kept only if its
+    /// target is not among the candidates. The first path of a file is kept.
     #[allow(clippy::clone_on_copy)]
     fn add_once(&mut self, linked: Vec<Candidate>) {
         let mut in_folder = HashMap::new();

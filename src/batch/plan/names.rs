@@ -1,6 +1,6 @@
-//! Unique names in a plan: no two jobs have the same file, and none has that of the summary.
+//! Unique names in a plan: no file belongs to two jobs, or to a job and the summary.
 //!
-//! In: the requested names. Out: these, or with a number appended. Cost: negligible.
+//! In: the requested names. Out: the same names, with a number appended where necessary. Cost: negligible.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -14,7 +14,7 @@ pub(super) struct JobFiles {
 }
 
 impl JobFiles {
-    /// Returns the files of a job with the name `base`, with extensions appended after any dots.
+    /// Returns the files of a job: `base` with each extension appended, even if `base` contains dots.
     pub(super) fn new<'a>(base: &Path, extensions: impl IntoIterator<Item = &'a str>, has_page: bool) -> JobFiles {
         let with = |extension: &str| {
             let mut name = base.as_os_str().to_owned();
@@ -30,7 +30,7 @@ impl JobFiles {
         }
     }
 
-    /// Returns all of them.
+    /// Returns all files of the job.
     pub(super) fn all(self) -> Vec<PathBuf> {
         self.outputs.into_iter().chain(self.page).chain([self.report, self.failure]).collect()
     }
@@ -40,12 +40,12 @@ impl JobFiles {
 #[derive(Default)]
 pub(super) struct Unique {
     taken: BTreeSet<PathBuf>,
-    /// The next number to try for a name.
+    /// The number to append next for each name that was requested before.
     next: BTreeMap<PathBuf, usize>,
 }
 
 impl Unique {
-    /// Some file systems do not distinguish names that differ only in case.
+    /// Returns `path` in lower case, because some file systems do not distinguish names that differ only in case.
     fn folded(path: &Path) -> PathBuf {
         path.to_string_lossy().to_lowercase().into()
     }
@@ -55,8 +55,8 @@ impl Unique {
         self.taken.extend(names.into_iter().map(|name| Unique::folded(&name)));
     }
 
-    /// Returns `wanted`, with a number appended if necessary, so that none of the files `named` after it is used.
-    /// They are used from now on.
+    /// Returns `wanted`, with a number appended if one of its files is used already, and marks its files as used.
+    /// `named` returns the files of a name.
     pub(super) fn path(&mut self, wanted: PathBuf, named: impl Fn(&Path) -> Vec<PathBuf>) -> PathBuf {
         let key = Unique::folded(&wanted);
         let mut number = self.next.get(&key).copied().unwrap_or(1);
@@ -76,7 +76,7 @@ impl Unique {
         }
     }
 
-    /// Returns `wanted`, with a number appended if necessary.
+    /// Returns `wanted`, with a number appended if it is used already, and marks it as used.
     pub(super) fn text(&mut self, wanted: String) -> String {
         self.path(wanted.into(), |name| vec![name.to_owned()]).to_string_lossy().into_owned()
     }

@@ -1,6 +1,6 @@
 use super::*;
 
-/// A bracket of two photographs in `folder`, with exposures 1 and 4.
+/// Returns a bracket of two photographs in `folder`, with exposures of 1 and 4 s, numbered from `first`.
 fn planned(root: &str, folder: &str, first: usize) -> Planned {
     let photographs = [first, first + 1].map(|n| Path::new(root).join(folder).join(format!("IMG_{n}.JPG"))).to_vec();
     Planned {
@@ -20,7 +20,7 @@ fn settings() -> Settings {
     Settings { formats: vec!["exr".into(), "png".into()], ..Settings::default() }
 }
 
-/// A job.
+/// Returns the job of a bracket of two photographs.
 pub fn job() -> Job {
     plan(&[planned("/in", "a", 1)], &settings()).unwrap().remove(0)
 }
@@ -61,8 +61,8 @@ fn no_two_results_have_one_name() {
     assert_eq!(ids, ["all", "all-2", "all-3"]);
 }
 
-/// `x` may not have the report or the failure file of `x.failed`, and a bracket may not have the files of a response
-/// or of the summary.
+/// The failure file of `x` would be the report of `x.failed`, so one of them gets a number; so does a bracket whose
+/// files would be those of a response, of the summary, or of another bracket.
 #[test]
 fn no_two_jobs_have_a_file_in_common() {
     let named = |folder: &str| planned("/in", folder, 1);

@@ -5,7 +5,7 @@ use crate::error::Error;
 use std::path::Path;
 use std::sync::atomic::AtomicUsize;
 
-/// Jobs of which none can be done: their photographs do not exist.
+/// Returns jobs that all fail, because their photographs do not exist; each has an id and the ids that it needs.
 fn jobs(ids: &[(&str, &[&str])], folder: &Path) -> Vec<Job> {
     let named = |(id, needs): &(&str, &[&str])| Job {
         id: (*id).into(),
@@ -59,7 +59,7 @@ fn full_disk_stops_further_jobs_and_is_reported_once() {
     };
     let full = || std::io::Error::from(std::io::ErrorKind::StorageFull);
     let write = || Error::Write { path: "a.exr".into(), source: full() };
-    // A full scratch disk does not affect smaller jobs.
+    // A full scratch disk does not stop other jobs: smaller ones may have enough space.
     let scratch = || Error::Scratch { folder: "s".into(), source: full() };
     assert!(write().is_disk_full() && !scratch().is_disk_full());
     let board = Board::new(&jobs, &limits, &stop, &watch);
@@ -72,7 +72,7 @@ fn full_disk_stops_further_jobs_and_is_reported_once() {
     assert_eq!((reports.into_inner(), ended.into_inner()), (1, 1));
 }
 
-/// A job that was not started because its disk is full does not delay jobs for other disks.
+/// Job b needs job a, which was not started because its disk is full: `take` does not wait for a, but ends b.
 #[test]
 fn jobs_that_need_an_unstarted_job_are_not_started() {
     let jobs = jobs(&[("a", &[]), ("b", &["a"])], Path::new("/none"));
@@ -94,7 +94,7 @@ fn stopped_batch_starts_no_job() {
     assert!(std::fs::read_dir(dir.path()).unwrap().next().is_none());
 }
 
-/// Memory is divided: never more than there is, and always enough for one job to run.
+/// The jobs together never get more memory than there is, and at least one job always gets enough to run.
 #[test]
 fn memory_and_threads_are_shared_out() {
     let mut all = jobs(&[("a", &[]), ("b", &[]), ("c", &[])], Path::new("/none"));
@@ -114,20 +114,20 @@ fn memory_and_threads_are_shared_out() {
 
     assert_eq!(workers(&all, &two), 2);
 
-    // There is memory for only one job at a time: it has both threads.
+    // Memory is enough for only one job at a time, so this job gets both threads.
     let one = limits(2, Some(MemoryLimit::PROGRAM + of_job + 1));
     assert_eq!(workers(&all, &one), 1);
     let board = Board::new(&all, &one, &stop, &watch);
     let share = board.take(|| ()).unwrap().1;
     assert_eq!(share, Share { threads: 2, taken: of_job + 1 });
 
-    // Memory for threads: enough, none, and for a small job.
+    // 10 bytes of pixels and 32 for a second thread: 42 are enough for both, 41 are not; one thread needs only 10.
     let one_thread = |pixels| Share { threads: 1, taken: pixels };
     assert_eq!(Share::of(10, 32, 42, 2), Share { threads: 2, taken: 42 });
     assert_eq!(Share::of(10, 32, 41, 2), one_thread(10));
     assert_eq!(Share::of(10, 32, 10, 1), one_thread(10));
 
-    // A job that is larger than the memory gets all memory, and runs alone.
+    // A job that needs more memory than there is gets all of it, and so runs alone.
     let little = limits(4, Some(MemoryLimit::PROGRAM + 1000));
     let board = Board::new(&all[..1], &little, &stop, &watch);
     let (_, share) = board.take(|| ()).unwrap();
@@ -153,7 +153,8 @@ fn the_longest_comes_first_if_there_is_room_for_it() {
     all[0].memory_mb = 150;
     let tight = limits(3, Some(MemoryLimit::PROGRAM + 260_000_000));
     let board = Board::new(&all, &tight, &stop, &watch);
-    // b uses 175 MB of the 260; there is memory beside it only for c and, after that, for d.
+    // The program uses 25 MB of memory_mb, so b takes 175 MB of the 260 for pixels. The other 85 MB are not enough for
+    // a (125 MB), but for c (75 MB).
     assert_eq!([board.take(|| ()).unwrap().0, board.take(|| ()).unwrap().0], [1, 2]);
 }
 

@@ -1,13 +1,13 @@
 //! ICC profiles embedded in photographs.
 //!
-//! In: the bytes of an ICC profile. Out: its description, and the chromaticities of its red, green, blue and white where it is an RGB
-//! profile with a matrix and curves. Cost: negligible.
-//! Source: ICC.1:2022, section 8.3 and annexes E and F: colorants are adapted to D50, by the `chad` tag or else by Bradford's transform.
+//! In: the bytes of an ICC profile. Out: its description, and the chromaticities of its red, green, blue and white
+//! where it is an RGB profile with a matrix and curves. Cost: negligible. Source: ICC.1:2022, section 8.3 and annexes E
+//! and F: colorants are adapted to D50, by the `chad` tag or else by Bradford's transform.
 
 use super::{BRADFORD, Curve, D50, D65, Primaries};
 use nalgebra::{Matrix3, Vector3};
 
-/// The D50 of the profile connection space (ICC.1, 7.2.16).
+/// XYZ of the D50 white of the profile connection space (ICC.1, 7.2.16).
 const PCS_WHITE: Vector3<f64> = Vector3::new(0.9642, 1.0, 0.8249);
 
 /// An ICC profile with its unmodified bytes.
@@ -17,8 +17,8 @@ pub struct Profile {
     pub icc: Vec<u8>,
     /// Its own description, such as `sRGB IEC61966-2.1`.
     pub description: String,
-    /// Primaries of the profile, replaced by a [standard set](Primaries::nearest_standard) where they match one within rounding. `None`
-    /// where the profile uses tables or is inconsistent.
+    /// Primaries of the profile, replaced by a [standard set](Primaries::nearest_standard) where they match one within
+    /// rounding. `None` where the profile uses tables or is inconsistent.
     pub primaries: Option<Primaries>,
 }
 
@@ -55,12 +55,13 @@ impl Profile {
         }
     }
 
-    /// Returns the sRGB profile, to be embedded in formats without another way to mark sRGB. The bytes are always the same.
+    /// Returns the sRGB profile, to be embedded in formats without another way to mark sRGB. The bytes are always the
+    /// same.
     pub fn srgb() -> Option<Profile> {
         let mut profile = moxcms::ColorProfile::new_srgb();
-        // cICP is meant for video.
+        // The tag cICP is meant for video.
         profile.cicp = None;
-        // The white of a display profile is that of the connection space (ICC.1, 9.2.36).
+        // In a display profile, the media white must be the white of the connection space (ICC.1, 9.2.36).
         profile.media_white_point = Some(moxcms::Xyzd { x: PCS_WHITE.x, y: PCS_WHITE.y, z: PCS_WHITE.z });
         Profile::made(profile, D65, 1999)
     }
@@ -82,7 +83,7 @@ impl Profile {
         (profile.red_trc, profile.green_trc, profile.blue_trc) = (curve.clone(), curve.clone(), curve);
         let words = moxcms::LocalizableString::new("en".into(), "US".into(), description.to_owned());
         profile.description = Some(moxcms::ProfileText::Localizable(vec![words]));
-        // The year of the standard that describes such profiles.
+        // 2022 is the year of ICC.1:2022, the standard for such profiles.
         Profile::made(profile, primaries.white, 2022)
     }
 
@@ -92,10 +93,11 @@ impl Profile {
         let row = |r: usize| [to_d50[(r, 0)], to_d50[(r, 1)], to_d50[(r, 2)]];
         profile.chromatic_adaptation = Some(moxcms::Matrix3d { v: [row(0), row(1), row(2)] });
         let mut icc = profile.encode().ok()?;
-        // The encoder writes the time of day, whatever the profile says (ICC.1, 7.2.8: six 16-bit numbers).
+        // The encoder always writes the current time; a fixed date replaces it (ICC.1, 7.2.8: six 16-bit numbers).
         let date = [year, 11, 1, 0, 0, 0].map(u16::to_be_bytes);
         icc.get_mut(24..36)?.copy_from_slice(date.as_flattened());
-        // It rounds the white of the connection space otherwise than the standard has it (7.2.16), which validators mind.
+        // The encoder does not round the white of the connection space as the standard does (7.2.16), and validators
+        // report this.
         icc.get_mut(68..80)?.copy_from_slice(b"\0\0\xf6\xd6\0\x01\0\0\0\0\xd3\x2d");
         match Profile::parse(icc) {
             Found::Rgb(profile) => Some(profile),
@@ -104,7 +106,7 @@ impl Profile {
     }
 }
 
-/// Primaries of the profile; `None` where it uses tables or is inconsistent.
+/// Returns the primaries of the profile; `None` where it uses tables or is inconsistent.
 fn primaries(profile: &moxcms::ColorProfile) -> Option<Primaries> {
     let colorant = |c: moxcms::Xyzd| Vector3::new(c.x, c.y, c.z);
     let colorants = [profile.red_colorant, profile.green_colorant, profile.blue_colorant].map(colorant);
@@ -112,7 +114,7 @@ fn primaries(profile: &moxcms::ColorProfile) -> Option<Primaries> {
         return None;
     }
     let chad = profile.chromatic_adaptation.map(|chad| Matrix3::from_fn(|row, column| chad.v[row][column]));
-    // moxcms up to 0.9, and so what was written with it, puts the cone matrix itself where the adaptation belongs.
+    // moxcms up to 0.9 writes Bradford's cone matrix in place of the adaptation matrix; such a `chad` is ignored.
     if let Some(to_d50) = chad.filter(|chad| (chad - BRADFORD).amax() > 1e-3) {
         return unadapted(&colorants, to_d50.try_inverse()?);
     }
@@ -120,7 +122,8 @@ fn primaries(profile: &moxcms::ColorProfile) -> Option<Primaries> {
     if (stated[0] - D50[0]).abs() > 0.005 || (stated[1] - D50[1]).abs() > 0.005 {
         return unadapted(&colorants, from_d50(stated)?);
     }
-    // D50 is what version 4 must say of every profile, and what ProPhoto is: D65 is meant where it makes a known space.
+    // A media white of D50 is ambiguous: version 4 requires it in every profile, and the white of ProPhoto is D50. D65
+    // is assumed if it makes the primaries those of a known space.
     let d65 = unadapted(&colorants, from_d50(D65)?)?;
     if d65.nearest_standard().is_some() { Some(d65) } else { unadapted(&colorants, Matrix3::identity()) }
 }
@@ -144,7 +147,7 @@ fn unadapted(colorants: &[Vector3<f64>; 3], from_d50: Matrix3<f64>) -> Option<Pr
     Some(Primaries { red: red?, green: green?, blue: blue?, white: xy(from_d50 * PCS_WHITE)? })
 }
 
-/// The Bradford transform from D50 to the white of chromaticity `white` (ICC.1, annex E).
+/// Returns the Bradford transform from D50 to the white of chromaticity `white` (ICC.1, annex E).
 fn from_d50(white: [f64; 2]) -> Option<Matrix3<f64>> {
     let cones = |xyz: Vector3<f64>| BRADFORD * xyz;
     if white[1] < 1e-3 {
@@ -166,7 +169,7 @@ mod tests {
     use super::*;
     use moxcms::ColorProfile;
 
-    /// A version 2 profile by hand: `colorants` adapted to D50, and the media white, no `chad`.
+    /// Builds a version 2 profile from `colorants`, adapted to D50, and the media white, without `chad`.
     fn icc(colorants: [[f64; 3]; 3], white: [f64; 3]) -> Vec<u8> {
         let xyz = |v: [f64; 3]| {
             let numbers = v.iter().flat_map(|x| ((x * 65536.0).round() as i32).to_be_bytes());
@@ -201,7 +204,8 @@ mod tests {
         out
     }
 
-    /// As in the profiles that HP, Adobe and Kodak published, D50.
+    /// XYZ of red, green and blue, adapted to D50, in the profiles that HP (sRGB), Adobe and Kodak (ProPhoto)
+    /// published.
     const SRGB_D50: [[f64; 3]; 3] = [[0.4361, 0.2225, 0.0139], [0.3851, 0.7169, 0.0971], [0.1431, 0.0606, 0.7141]];
     const ADOBE_D50: [[f64; 3]; 3] = [[0.6097, 0.3111, 0.0195], [0.2053, 0.6257, 0.0609], [0.1492, 0.0632, 0.7446]];
     const PROPHOTO_D50: [[f64; 3]; 3] = [[0.7977, 0.2880, 0.0], [0.1352, 0.7119, 0.0], [0.0313, 0.0001, 0.8249]];
@@ -227,7 +231,7 @@ mod tests {
         assert_close(primaries(icc(PROPHOTO_D50, WHITE_50)), Primaries::PROPHOTO);
     }
 
-    /// D65 to D50, as LittleCMS writes it.
+    /// Adaptation matrix from D65 to D50, as LittleCMS writes it.
     const CHAD: [[f64; 3]; 3] =
         [[1.04788, 0.02292, -0.05022], [0.02959, 0.99048, -0.01707], [-0.00925, 0.01508, 0.75168]];
 
@@ -243,7 +247,7 @@ mod tests {
             right.chromatic_adaptation = Some(moxcms::Matrix3d { v: CHAD });
             right.media_white_point = Some(moxcms::Xyzd { x: 0.9642, y: 1.0, z: 0.8249 });
             assert_close(primaries(right.encode().unwrap()), published);
-            // With the cone matrix in its place, as moxcms has it.
+            // With Bradford's cone matrix in place of the adaptation matrix, as moxcms writes it.
             assert_close(primaries(profile.encode().unwrap()), published);
         }
     }
@@ -286,7 +290,7 @@ mod tests {
     fn profile_made_from_primaries_contains_them() {
         for primaries in [Primaries::ACES_AP0, Primaries::BT2020, Primaries::PROPHOTO] {
             let profile = Profile::of(&primaries, Curve::Power(1.0), "numbers").unwrap();
-            // Colorants are in steps of 1/65536.
+            // A profile stores colorants in steps of 1/65536.
             assert!(profile.primaries.unwrap().is_close(&primaries, 2e-4), "{:?}", profile.primaries);
             assert_eq!(profile.description, "numbers");
         }

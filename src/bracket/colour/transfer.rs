@@ -1,7 +1,8 @@
 //! Transfer curves of colour profiles: pixel value to linear light.
 //!
 //! In: a profile, or none. Out: the linear value of a pixel value of each channel. Cost: at most one power per value.
-//! Source: ICC.1:2022, 10.6 (`curv`) and 10.18 (`para`); IEC 61966-2-1 where there is no profile, or one that works by tables.
+//! Source: ICC.1:2022, 10.6 (`curv`) and 10.18 (`para`); IEC 61966-2-1 where there is no profile, or the profile uses
+//! tables.
 
 use super::{Profile, srgb_to_linear};
 use libm::pow;
@@ -11,7 +12,7 @@ use moxcms::{ColorProfile, ToneReprCurve};
 #[derive(Debug, Clone)]
 pub struct Transfer(Option<[ToneReprCurve; 3]>);
 
-/// Largest difference between equal curves, as a fraction of white: the rounding of profiles.
+/// Largest difference, as a fraction of white, between curves that count as equal: profiles round their curves.
 const ROUNDING: f64 = 1e-3;
 
 impl Transfer {
@@ -45,7 +46,7 @@ impl Transfer {
     }
 }
 
-/// A curve that a profile is [made of](Profile::of).
+/// A transfer curve from which [`Profile::of`] makes a profile.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Curve {
     /// IEC 61966-2-1.
@@ -82,7 +83,7 @@ fn evaluate(curve: &ToneReprCurve, x: f64) -> f64 {
         },
         ToneReprCurve::Parametric(numbers) => {
             let numbers: Vec<f64> = numbers.iter().map(|v| f64::from(*v)).collect();
-            // g, a, b, c, d, e, f of the standard's table 68.
+            // The parameters g, a, b, c, d, e, f of ICC.1:2022, table 68.
             let (g, a, b, c, d, e, f) = match numbers[..] {
                 [g] => (g, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0),
                 [g, a, b] => (g, a, b, 0.0, -b / a, 0.0, 0.0),
@@ -106,7 +107,7 @@ mod tests {
         let srgb = Curve::Srgb.parametric();
         for i in 0..=100 {
             let x = f64::from(i) / 100.0;
-            // Its numbers are floats, within 6e-8.
+            // The parameters of the curve are `f32`, with relative rounding errors of up to 6e-8.
             assert!((evaluate(&srgb, x) - srgb_to_linear(x)).abs() < 1e-6);
         }
         assert!((evaluate(&ToneReprCurve::Parametric(vec![2.0]), 0.5) - 0.25).abs() < 1e-12);

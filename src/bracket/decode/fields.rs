@@ -1,8 +1,8 @@
 //! Parses an EXIF block and moves each field to its standard directory.
 //!
-//! In: a TIFF block, and the index of the directory of the image. Out: the readable fields, those of the image as [`In::PRIMARY`]. Cost:
-//! that of kamadak-exif, twice for blocks that must be reordered.
-//! Source: EXIF 2.32, section 4.6; TIFF/EP, which puts the exposure into the picture's own directory.
+//! In: a TIFF block, and the index of the directory that describes the image. Out: the readable fields; those of the
+//! image are in [`In::PRIMARY`]. Cost: that of kamadak-exif, twice for blocks that must be reordered. Source: EXIF
+//! 2.32, section 4.6; TIFF/EP, which puts the exposure into the directory of the picture instead of the EXIF directory.
 
 use crate::bracket::metadata::carried::DESCRIPTIVE;
 use exif::experimental::Writer;
@@ -11,7 +11,8 @@ use std::collections::BTreeMap;
 use std::io::Cursor;
 use std::panic::catch_unwind;
 
-/// Parses the readable fields of the block `raw`, whose directory `picture` describes the image. `None` where it is not a TIFF block.
+/// Parses the readable fields of the block `raw`, in which the directory with index `picture` describes the image.
+/// `None` where `raw` is not a TIFF block.
 pub(super) fn parsed(raw: Vec<u8>, picture: u16) -> Option<Exif> {
     let exif = read(raw)?;
     if picture == 0 && exif.fields().all(|field| placed(field.tag) == field.tag) {
@@ -28,15 +29,16 @@ fn read(raw: Vec<u8>) -> Option<Exif> {
     parsed.ok()?.ok()
 }
 
-/// The tag in the directory where EXIF defines it.
+/// Returns `tag` with the directory (context) in which EXIF defines it.
 fn placed(tag: Tag) -> Tag {
     let of_exif = Tag(Context::Exif, tag.number());
     let is_displaced = tag.context() == Context::Tiff && tag.description().is_none() && of_exif.description().is_some();
     if is_displaced { of_exif } else { tag }
 }
 
-/// Writes a block with the fields of the directory `picture`, completed from the first directory. A field in its standard directory comes
-/// before a displaced one. Maker notes are left out because their offsets become invalid.
+/// Writes a block with the fields of the directory `picture`, completed from the first directory. A field in its
+/// standard directory takes precedence over a displaced field with the same tag. Maker notes are left out because their
+/// offsets become invalid.
 fn in_order(exif: &Exif, picture: u16) -> Option<Vec<u8>> {
     let mut fields: BTreeMap<(u8, u16), Field> = BTreeMap::new();
     for (directory, displaced) in [(picture, false), (picture, true), (0, false), (0, true)] {

@@ -1,15 +1,17 @@
 //! Decodes JPEG files: baseline and progressive; grey, YCbCr, RGB, CMYK and Adobe's YCCK.
 //!
-//! In: the file. Out: 8-bit RGB, decoded by zune-jpeg without a copy. Cost: that of zune-jpeg (7 ns per pixel at 4:2:0), and one pass through
-//! the file. Three kinds of files are decoded by jpeg-decoder, which takes three times as long, because zune-jpeg 0.5.15 decodes them
-//! wrongly: sequential files with several scans, whose blocks it misplaces where chroma has fewer rows; files whose chroma is finer than
-//! luma; and files whose last chroma sample it interpolates with the arbitrary padding behind the image.
-//! Source: ITU-T T.81 (annexes B, F, G), Adobe Technical Note 5116 for the APP14 marker, CIPA DC-007 (MPF) for what may follow.
+//! In: the file. Out: 8-bit RGB, decoded by zune-jpeg without a copy. Cost: that of zune-jpeg (7 ns per pixel at
+//! 4:2:0), and one pass through the file. Three kinds of files are decoded by jpeg-decoder, which takes three times as
+//! long, because zune-jpeg 0.5.15 decodes them wrongly: sequential files with several scans, whose blocks it misplaces
+//! where chroma has fewer rows; files whose chroma is finer than luma; and files in which it interpolates the last
+//! chroma sample with the arbitrary padding behind the image. Source: ITU-T T.81 (annexes B, F, G), Adobe Technical
+//! Note 5116 for the APP14 marker, CIPA DC-007 (MPF) for what may follow.
 //!
-//! Decoders fill missing data with grey or noise, so the markers are checked first: the file must be complete up to the end of its first
-//! image. Further images (MPF previews, gain maps) and trailing bytes are cut off. A repair tool may have closed a truncated file with an
-//! end marker. To detect this, ones are appended to the data of each sequential scan: they are not a Huffman code (T.81, annex C), so a
-//! decoder that reads past its data fails. A progressive file must contain every bit of every coefficient.
+//! Decoders fill missing data with grey or noise, so the markers are checked first: the file must be complete up to the
+//! end of its first image. Further images (MPF previews, gain maps) and trailing bytes are cut off. A repair tool may
+//! have closed a truncated file with an end marker. To detect this, one bits are appended to the data of each
+//! sequential scan: a code of ones only is not a Huffman code (T.81, annex C), so a decoder that reads past the data of
+//! a scan fails. A progressive file must contain every bit of every coefficient.
 
 mod layout;
 
@@ -27,10 +29,11 @@ use zune_jpeg::zune_core::options::DecoderOptions;
 
 const END: [u8; 2] = [0xFF, 0xD9];
 
-/// 64 one bits of entropy-coded data, longer than any code with its value. Each 0xFF is followed by a zero byte (T.81, F.1.2.3).
+/// 64 one bits of entropy-coded data, longer than any Huffman code and the value bits after it. Each 0xFF is followed
+/// by a zero byte (T.81, F.1.2.3).
 const ONES: [u8; 16] = [0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0];
 
-/// Maximum number of scans: encoders write about ten, and each takes a pass over the whole image.
+/// Maximum number of scans: encoders write about ten, and each scan takes a pass over the whole image.
 const MOST_SCANS: usize = 200;
 
 const UNSUPPORTED_COLOUR: &str = "its kind of colour components is not supported; save it as RGB or grey";
@@ -53,10 +56,12 @@ pub(super) fn decode(mut bytes: Vec<u8>, limits: &Limits) -> Result<Stored, Reas
     let (width, height) = layout.size;
     limits.check_size(width, height)?;
     let pixels = width as u64 * height as u64;
-    // A block of 64 pixels takes at least one bit in any scan; chroma may be finer than luma by at most four by four.
+    // The largest number of pixels per byte: 8 blocks of 64 samples, which take at least one bit each, and 4 x 4 pixels
+    // per sample, because one component may be finer than another by at most four by four.
     limits::check_length(bytes.len(), pixels, 64 * 8 * 16)?;
     let is_beyond_zune = layout.is_beyond_zune();
-    // RGB or CMYK, all coefficients of a progressive file, and all components where jpeg-decoder is used.
+    // Held in memory: the output (RGB, or CMYK and RGB), all coefficients of a progressive file with 2 bytes each, and
+    // all components where jpeg-decoder is used.
     let kept = if layout.progressive { 2 } else { 0 } + u64::from(is_beyond_zune);
     let components = layout.sampling.len();
     let rgb = if components == 4 { 4 + 3 } else { 3 };
@@ -69,7 +74,8 @@ pub(super) fn decode(mut bytes: Vec<u8>, limits: &Limits) -> Result<Stored, Reas
     }
     bytes.extend(END);
 
-    // With Adobe's marker CMYK is inverted, which zune-jpeg assumes for all files; without it, it is not.
+    // CMYK is inverted in files with Adobe's marker and not inverted in others; zune-jpeg assumes that it is always
+    // inverted.
     let plain_cmyk = components == 4 && !layout.adobe;
     let wanted = if plain_cmyk { ColorSpace::CMYK } else { ColorSpace::RGB };
     let options = DecoderOptions::default()
@@ -111,8 +117,8 @@ pub(super) fn decode(mut bytes: Vec<u8>, limits: &Limits) -> Result<Stored, Reas
     })
 }
 
-/// Decodes a file that zune-jpeg decodes wrongly, to RGB, or to CMYK where it is `plain_cmyk`. `space` is the colour space of the file.
-/// Parallel work runs in the current thread pool.
+/// Decodes, with jpeg-decoder, a file that zune-jpeg decodes wrongly. The result is RGB, and for `plain_cmyk` CMYK that
+/// is not inverted. `space` is the colour space of the file. Parallel work runs in the current thread pool.
 fn by_jpeg_decoder(bytes: &[u8], space: ColorSpace, plain_cmyk: bool) -> Result<Vec<u8>, Reason> {
     let transform = match space {
         ColorSpace::YCbCr => ColorTransform::YCbCr,
@@ -140,7 +146,7 @@ fn by_jpeg_decoder(bytes: &[u8], space: ColorSpace, plain_cmyk: bool) -> Result<
     })
 }
 
-/// Inserts [`ONES`] before each of `ends`, which are in order.
+/// Inserts [`ONES`] before each index in `ends`, which are ascending.
 fn with_ones(bytes: &[u8], ends: &[usize]) -> Vec<u8> {
     let mut filled = Vec::with_capacity(bytes.len() + (ends.len() + 1) * ONES.len());
     let mut done = 0;
@@ -153,14 +159,15 @@ fn with_ones(bytes: &[u8], ends: &[usize]) -> Vec<u8> {
     filled
 }
 
-/// Removes the ranges `junk`, which are in order, in one pass: a damaged file may have a million of them.
+/// Removes the ascending ranges `junk` in one pass: a damaged file may have a million of them.
 fn without(bytes: &[u8], junk: &[Range<usize>]) -> Vec<u8> {
     let ends = junk.iter().map(|range| range.start).chain([bytes.len()]);
     let starts = std::iter::once(0).chain(junk.iter().map(|range| range.end));
     starts.zip(ends).flat_map(|(start, end)| &bytes[start..end]).copied().collect()
 }
 
-/// Reads the size and the EXIF from the segments before the image data, with seeks. Damage after them is not detected.
+/// Reads the size and the EXIF from the segments before the image data, and seeks over the other segments. Damage of
+/// the image data is not detected.
 pub(super) fn head<R: Read + Seek>(reader: &mut std::io::BufReader<R>) -> Result<Found, Reason> {
     let damaged = |e: std::io::Error| match e.kind() {
         std::io::ErrorKind::UnexpectedEof => "it ends before the picture (truncated); copy the file again".to_owned(),

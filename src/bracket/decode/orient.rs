@@ -45,7 +45,7 @@ fn turn<T: Copy>(stored: &[T], width: usize, height: usize, orientation: u32) ->
 mod tests {
     use super::*;
 
-    /// Where the stored row 0 and column 0 are seen, in the words of the standard.
+    /// For each orientation, the displayed side of the stored row 0 and column 0, in the words of the standard.
     const STANDARD: [(u32, &str, &str); 8] = [
         (1, "top", "left"),
         (2, "top", "right"),

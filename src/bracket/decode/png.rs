@@ -1,8 +1,9 @@
 //! Decodes PNG files of every colour type, at 8 or 16 bits.
 //!
-//! In: the file. Out: RGB at the depth of the file; palettes and depths below 8 bits become 8 bits. Cost: that of the `png` crate.
-//! Source: W3C, Portable Network Graphics (third edition), with the eXIf, iCCP, cICP, cHRM and gAMA chunks; ImageMagick, `coders/png.c`, and
-//! exiv2, `pngchunk_int.cpp`, for "Raw profile type exif", which programs wrote before eXIf existed and many still write.
+//! In: the file. Out: RGB at the depth of the file; palettes and depths below 8 bits become 8 bits. Cost: that of the
+//! `png` crate. Source: W3C, Portable Network Graphics (third edition), with the eXIf, iCCP, cICP, cHRM and gAMA
+//! chunks; ImageMagick, `coders/png.c`, and exiv2, `pngchunk_int.cpp`, for "Raw profile type exif", which programs
+//! wrote before eXIf existed and many still write.
 
 mod colour;
 
@@ -15,7 +16,8 @@ use std::io::{BufReader, Cursor, Read, Seek};
 /// Decodes a PNG file. Checksums are checked up to the end of the file.
 pub(super) fn decode(bytes: &[u8], allowed: &Allowed) -> Result<Stored, Reason> {
     let damaged = |e: png::DecodingError| format!("{e}; copy the file again");
-    // Memory beside the image: its profile, which is compressed and may have any size, its EXIF, and a few rows.
+    // Limits the memory for everything but the image: the profile, which is compressed and may have any size, the EXIF,
+    // and a few rows.
     let mut decoder = Decoder::new_with_limits(Cursor::new(bytes), Limits { bytes: MOST_BESIDE });
     decoder.set_transformations(Transformations::EXPAND);
     decoder.set_ignore_text_chunk(true);
@@ -27,7 +29,7 @@ pub(super) fn decode(bytes: &[u8], allowed: &Allowed) -> Result<Stored, Reason> 
     let bits = header.bits_per_pixel() as u64;
     limits::check_length(bytes.len(), pixels * bits / 8, DEFLATE)?;
     let (bytes_each, channels) = (if header.bit_depth == BitDepth::Sixteen { 2 } else { 1 }, 1 + bits.div_ceil(8));
-    // Decompressed, converted to 16-bit words, and as RGB.
+    // Memory for the decompressed bytes, the same as 16-bit words, and RGB.
     let needed = pixels * bytes_each * (channels.max(3) + 3) + bytes.len() as u64;
     allowed.check_memory((width, height), needed)?;
     let mut reader = decoder.read_info().map_err(damaged)?;
@@ -56,7 +58,8 @@ pub(super) fn decode(bytes: &[u8], allowed: &Allowed) -> Result<Stored, Reason> 
         );
     }
     let info = reader.info();
-    // The png crate ignores a profile that it cannot decompress; an empty one is reported as damaged instead.
+    // The png crate ignores a profile that it cannot decompress; then an empty profile is returned, which is reported
+    // as damaged.
     let begin = bytes.windows(4).position(|kind| kind == b"IDAT").unwrap_or(0);
     let has_profile = bytes[..begin].windows(4).any(|kind| kind == b"iCCP");
     let embedded = info.icc_profile.as_ref().map(|i| i.to_vec()).or(has_profile.then(Vec::new));
@@ -75,7 +78,7 @@ pub(super) fn decode(bytes: &[u8], allowed: &Allowed) -> Result<Stored, Reason> 
     })
 }
 
-/// Memory limit in bytes beside the image; a few rows of 65535 pixels are a fraction of it.
+/// Limit in bytes of the memory for everything but the image; a few rows of 65535 pixels are a fraction of it.
 const MOST_BESIDE: usize = 64 << 20;
 
 /// Maximum size in bytes of an EXIF chunk.
@@ -86,12 +89,12 @@ pub(super) fn head<R: Read + Seek>(reader: &mut BufReader<R>) -> Result<Found, R
     let damaged = |_| Reason::from("it ends before the picture (truncated); copy the file again");
     reader.seek_relative(8).map_err(damaged)?;
     let mut found: Option<Found> = None;
-    // eXIf comes before raw profiles; of several, the first is used.
+    // An eXIf chunk takes precedence over a raw profile; of several of the same kind, the first is used.
     let mut raw_profile = None;
     loop {
         let mut head = [0; 8];
         let read = reader.read_exact(&mut head);
-        // EXIF may follow the image data; a file cut off in the image data still has a size.
+        // EXIF may follow the image data, so all chunks are read; a file cut off in the image data still has a size.
         let is_end = read.is_err() || &head[4..] == b"IEND";
         match (read, found.take()) {
             (_, Some(so_far)) if is_end => return Ok(Found { exif: so_far.exif.or(raw_profile), ..so_far }),
@@ -102,7 +105,7 @@ pub(super) fn head<R: Read + Seek>(reader: &mut BufReader<R>) -> Result<Found, R
         let is_wanted = match &head[4..] {
             b"IHDR" => length >= 13,
             b"eXIf" => length <= MOST_EXIF,
-            // Two digits per byte, and line ends.
+            // Raw profiles have two digits per byte of EXIF, and line ends.
             b"tEXt" | b"zTXt" | b"iTXt" => length <= 3 * MOST_EXIF,
             _ => false,
         };
@@ -162,7 +165,8 @@ fn text<'a>(kind: &[u8], content: &'a [u8]) -> Option<(&'a [u8], Vec<u8>)> {
     Some((keyword, text))
 }
 
-/// Returns the EXIF, from its TIFF header on, of a raw profile: name, length, and bytes as lines of two hexadecimal digits each.
+/// Returns the EXIF of a raw profile, from its TIFF header on. The text is a name, the length, and lines of two
+/// hexadecimal digits per byte.
 fn exif_of_profile(text: &[u8]) -> Option<Vec<u8>> {
     let text = std::str::from_utf8(text).ok()?;
     let mut words = text.split_ascii_whitespace();

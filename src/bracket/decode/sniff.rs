@@ -1,7 +1,8 @@
 //! Recognises the format of a file by its first bytes.
 //!
-//! In: content. Out: the [`Format`] to decode, or a description of what it looks like, so that the user knows what to convert.
-//! Source: the specifications of the formats; the list of camera raw formats follows libraw's identify step.
+//! In: the content of a file. Out: the [`Format`] to decode, or a description of what the file looks like, so that the
+//! user knows what to convert. Source: the specifications of the formats; the list of camera raw formats follows
+//! libraw's identify step.
 
 /// A supported format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

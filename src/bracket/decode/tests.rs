@@ -10,7 +10,8 @@ pub(super) fn at_most(max_pixels: u64) -> Limits {
     Limits { max_pixels, memory: None }
 }
 
-/// Decodes `bytes`, and checks that the header gives the same size and depth, and no damage where there is none.
+/// Decodes `bytes`. Where this succeeds, checks that the header gives the same size and depth, and does not reject the
+/// file.
 pub(in crate::bracket) fn read(bytes: &[u8]) -> Result<Decoded> {
     let decoded = decode(Path::new("picture"), bytes.to_vec(), &at_most(LIMIT));
     let head = head(Path::new("picture"), Cursor::new(bytes), &[Tag::Orientation], &at_most(LIMIT));
@@ -58,7 +59,7 @@ pub(in crate::bracket) fn jpeg(rgb: &[u8], width: usize) -> Vec<u8> {
     out
 }
 
-/// EXIF bytes, from the TIFF header on.
+/// Returns the EXIF block of `fields`, from the TIFF header on.
 pub(in crate::bracket) fn exif_bytes(fields: &[(Tag, exif::Value)]) -> Vec<u8> {
     let fields: Vec<exif::Field> = fields
         .iter()
@@ -71,7 +72,7 @@ pub(in crate::bracket) fn exif_bytes(fields: &[(Tag, exif::Value)]) -> Vec<u8> {
     bytes.into_inner()
 }
 
-/// `jpeg` with an APP segment after its start.
+/// Returns `jpeg` with a segment inserted after its start marker.
 pub(in crate::bracket) fn with_segment(jpeg: &[u8], marker: u8, content: &[u8]) -> Vec<u8> {
     let length = (content.len() as u16 + 2).to_be_bytes();
     [&jpeg[..2], &[0xFF, marker], &length, content, &jpeg[2..]].concat()
@@ -136,7 +137,7 @@ fn damaged_png_is_an_error() {
     let mut flipped = whole.clone();
     flipped[whole.len() / 2] ^= 0x10;
     assert!(is_damage(read(&flipped)));
-    // The checksum of the packed data, in an IDAT whose own is right.
+    // The checksum of the compressed data is wrong, in an IDAT chunk whose own checksum is right.
     let place = whole.windows(4).position(|kind| kind == b"IDAT").unwrap();
     let length = u32::from_be_bytes(whole[place - 4..place].try_into().unwrap()) as usize;
     let mut other = whole.clone();
@@ -208,11 +209,11 @@ fn exif_turns_jpeg_png_and_tiff() {
     // Seen upright, the stored bottom left corner is at the top left.
     assert_eq!((decoded.width, decoded.height), (16, 32));
     assert_eq!(eight(Ok(decoded))[..3], rgb[3 * 32 * 15..][..3]);
-    // `image` names the same turn.
+    // The `image` crate interprets orientation 6 in the same way.
     assert_eq!(Orientation::from_exif(6), Some(Orientation::Rotate90));
 }
 
-/// Found by reading for the fuzzer: the header took the last EXIF of a PNG, its decoder the first.
+/// Found by code review: the header took the last EXIF of a PNG, and the decoder the first.
 #[test]
 fn the_header_of_a_png_turns_as_the_picture_does() {
     let turned = |orientation| {

@@ -1,8 +1,8 @@
 //! Decodes TIFF files: grey, palettes, RGB and CMYK, at 8 or 16 bits, in strips, tiles or planes.
 //!
-//! In: the file. Out: RGB at the depth of the file, of its first image that is not a thumbnail; palettes and depths below 8 bits become 8
-//! bits, extra samples are dropped. Cost: that of the `tiff` crate, and two copies. Source: TIFF 6.0 (sections 4 to 6, 8, 16 and 18); libtiff,
-//! `tif_getimage.c`, for colour maps of 8 bit.
+//! In: the file. Out: the first image that is not a thumbnail, as RGB at the depth of the file; palettes and depths
+//! below 8 bits become 8 bits, extra samples are dropped. Cost: that of the `tiff` crate, and two copies. Source: TIFF
+//! 6.0 (sections 4 to 6, 8, 16 and 18); libtiff, `tif_getimage.c`, for colour maps of 8 bit.
 
 use super::{Found, Reason, Stored, cmyk_to_rgb, to_rgb};
 use crate::bracket::Samples;
@@ -41,12 +41,12 @@ pub(super) fn decode(mut bytes: Vec<u8>, allowed: &Allowed) -> Result<Stored, Re
     let compression = decoder.find_tag_unsigned::<u32>(Tag::Compression).ok().flatten().unwrap_or(1);
     let packed = pixels.saturating_mul(kind.samples * kind.depth) / 8;
     limits::check_length(bytes.len(), packed, limits::tiff_packing(compression))?;
-    // As stored, without extra samples, and as RGB; two of the three at a time.
+    // Memory for the samples as stored, without extra samples, and as RGB; two of these three are held at a time.
     let wanted = kind.colour.samples();
     let (each, stored) = (kind.depth.div_ceil(8), pixels.saturating_mul(kind.samples * kind.depth.div_ceil(8)));
     let needed = stored.saturating_add(pixels * each * wanted.max(3) as u64 + bytes.len() as u64);
     allowed.check_memory((width, height), needed)?;
-    // The size was checked above, so allow what it needs.
+    // The size was checked above, so the decoder is allowed the memory that the image needs.
     let mut limits = Limits::default();
     let stored = usize::try_from(stored).unwrap_or(usize::MAX);
     limits.decoding_buffer_size = limits.decoding_buffer_size.max(stored);
@@ -120,8 +120,10 @@ impl Kind {
         };
         let is_palette = matches!(colour, Colour::Palette(_));
         if depth > 8 && (depth != 16 || is_palette) {
-            let palette = if is_palette { "a palette" } else { "samples" };
-            return unsupported(&format!("a picture with {palette} of {depth} bit"));
+            let samples = if is_palette { "palette" } else { "samples" };
+            return Err(format!(
+                "its {samples} of {depth} bits are not supported; save it as grey or RGB with 8 or 16 bits"
+            ));
         }
         // Programs take the first extra sample as alpha where ExtraSamples does not describe it.
         let extra = usize::from(samples).saturating_sub(colour.samples());
@@ -152,7 +154,8 @@ impl Colour {
         }
     }
 
-    /// Converts bytes to interleaved RGB. Samples of fewer bits (`depth`) are already scaled to the full range.
+    /// Converts 8-bit samples to interleaved RGB. Samples that have fewer bits in the file (`depth`) are already scaled
+    /// to the full range.
     fn eight(&self, values: Vec<u8>, depth: u64) -> Vec<u8> {
         let Colour::Palette(map) = self else { return self.rgb(values) };
         let last = (1 << depth.min(8)) - 1;
@@ -189,8 +192,8 @@ impl Bounded for u16 {
     const MAX: u32 = 65535;
 }
 
-/// Reads the size and the EXIF of the first image that is not a thumbnail, by seeking to its directories. Also returns why `decode` would
-/// reject this kind of image.
+/// Reads the size and the EXIF of the first image that is not a thumbnail, by seeking to its directories. Also returns
+/// why `decode` would reject this kind of image.
 pub(super) fn head<R: Read + Seek>(mut reader: R, wanted: &[exif::Tag]) -> Result<Found, Reason> {
     let picture = tiff_file::picture(&mut reader)?;
     let mut refused = refuse_raw(picture).err();
@@ -209,15 +212,16 @@ pub(super) fn head<R: Read + Seek>(mut reader: R, wanted: &[exif::Tag]) -> Resul
     Ok(Found { width: width as usize, height: height as usize, depth, exif, software, refused })
 }
 
-/// Whether it is a BigTIFF, whose EXIF kamadak-exif, and so `decode`, does not read.
+/// Whether the file is a BigTIFF, whose EXIF kamadak-exif, and so `decode`, does not read.
 fn is_big<R: Read + Seek>(decoder: &mut Decoder<R>) -> bool {
     let mut head = [0; 4];
     let reader = decoder.inner();
     reader.rewind().and_then(|()| reader.read_exact(&mut head)).is_ok() && head[2..].contains(&43)
 }
 
-/// Returns the `wanted` fields of the image, else of the `first` one, as a TIFF block. Each is read from the EXIF directory where EXIF
-/// defines it there, else from the directory of the image.
+/// Returns the `wanted` fields of the image as a TIFF block. A field that the image lacks, other than the orientation,
+/// is taken from the directory `first`. In either directory, a tag that EXIF defines for the EXIF directory is looked
+/// for there first, then in the directory itself.
 fn fields<R: Read + Seek>(
     decoder: &mut Decoder<R>,
     first: Option<IfdPointer>,
@@ -252,7 +256,7 @@ fn fields<R: Read + Seek>(
     Some(block.into_inner())
 }
 
-/// Converts the first value of a tag to kamadak-exif; `None` for types that no wanted tag has.
+/// Converts the first value of a tag to the type of kamadak-exif; `None` for types that no wanted tag has.
 fn exif_value(value: Value) -> Option<exif::Value> {
     Some(match value {
         Value::List(values) => exif_value(values.into_iter().next()?)?,

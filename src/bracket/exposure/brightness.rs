@@ -1,19 +1,20 @@
 //! Estimates exposure steps from the pixels, for frames with missing or impossible exposures in EXIF.
 //!
-//! In: the pixel values of all frames. Out: exposures in EV up to a common term, with error estimates; and whether the exposures in EXIF are
-//! possible. Cost: one histogram per frame over a quarter of its pixels, and per pair of neighbours in brightness a search on coarse images
-//! and fits to 256-entry tables.
+//! In: the pixel values of all frames. Out: exposures in EV up to a common offset, with error estimates; and whether
+//! the exposures in EXIF are possible. Cost: one histogram per frame over a quarter of its pixels, and per pair of
+//! neighbours in brightness a search on coarse images and fits to 256-entry tables.
 //!
-//! Two frames of a static scene rank its points equally, so equal ranks in their histograms are equal radiances (Grossberg and Nayar,
-//! "Determining the camera response from images: what is knowable?", PAMI 2003, section 5). The green channel of the
-//! overlap is used ([`mod@overlap`]), at every pixel value of the darker frame that is well exposed in both ([`histogram`]). Frames are
-//! chained in order of brightness. Matches do not determine the response completely; the rest comes from prior distributions of camera
-//! curves ([`curve`]) and of the steps that cameras are set to ([`steps`]).
+//! Two frames of a static scene rank its points equally, so equal ranks in their histograms are equal radiances
+//! (Grossberg and Nayar, "Determining the camera response from images: what is knowable?", PAMI 2003, section 5). The
+//! green channel of the overlap is used ([`mod@overlap`]), at every pixel value of the darker frame that is well
+//! exposed in both ([`histogram`]). Frames are chained in order of brightness. Matches do not determine the response
+//! completely; the rest comes from prior distributions of camera curves ([`curve`]) and of the steps that cameras are
+//! set to ([`steps`]).
 //!
-//! Measured: for 14 camera brackets, each estimated with curves fitted without it, the median error of the total span is 1 %; two are off by
-//! more than 5 %: by 7 and 17 %. For renderings with the sRGB curve the median error is 0.2 %, and at most 5 % where no frame is moved.
-//! Pairs with curves of negative film have errors of 1 to 30 %, depending on the curve; slides, twice as contrasty, are mistaken for camera
-//! images.
+//! Measured: for 14 camera brackets, each estimated with curves that were fitted to the other brackets, the median
+//! error of the total span is 1 %; two are off by more than 5 %: by 7 and 17 %. For renderings with the sRGB curve the
+//! median error is 0.2 %, and at most 5 % where no frame is moved. Pairs with curves of negative film have errors of 1
+//! to 30 %, depending on the curve; slides, twice as contrasty, are mistaken for camera images.
 
 mod contradiction;
 mod curve;
@@ -29,9 +30,9 @@ use steps::Steps;
 
 pub use contradiction::{at_odds, contradiction};
 
-/// Relative standard deviation of a step from the pixels that is tolerated before it contradicts EXIF.
+/// Relative standard deviation that is assumed for a step estimated from the pixels when it is compared with EXIF.
 const CAMERAS: f64 = 0.12;
-/// Steps below this, in EV, count as none.
+/// Exposure steps below this, in EV, count as no step.
 const STEP: f64 = 0.2;
 
 /// Brightness statistics of a frame.
@@ -59,7 +60,7 @@ impl Brightness {
     }
 }
 
-/// Matches the pixel values of both frames that have equal radiance; `None` where there are too few.
+/// Matches the pixel values of both frames that have equal radiance; `None` where there are too few matches.
 fn matches(dark: &Brightness, bright: &Brightness) -> Option<Pair> {
     let shared = overlap(&dark.view, &bright.view).map(|shared| shared.map(Histogram::from));
     let shared = shared.and_then(|[dark, bright]| histogram::matches(&dark, &bright));
@@ -74,9 +75,9 @@ fn step(dark: &Brightness, bright: &Brightness) -> Option<f64> {
 /// Exposures estimated from the pixels.
 #[derive(Debug, Clone)]
 pub struct Estimate {
-    /// In EV relative to the darkest frame.
+    /// Exposure of each frame, in EV relative to the darkest frame.
     pub evs: Vec<f64>,
-    /// For each frame, the number of darker ones.
+    /// For each frame, the number of darker frames.
     places: Vec<usize>,
     steps: Steps,
 }
@@ -87,20 +88,21 @@ impl Estimate {
         Estimate { evs: vec![0.0; count], places: vec![0; count], steps: Steps::default() }
     }
 
-    /// Standard deviation of the difference between two frames, in EV.
+    /// Returns the standard deviation of the exposure difference between the frames `a` and `b`, in EV.
     pub fn deviation(&self, a: usize, b: usize) -> f64 {
         let (a, b) = (self.places[a], self.places[b]);
         self.steps.variance(a.min(b)..a.max(b)).sqrt()
     }
 
-    /// Standard deviation of the difference between the darkest and the brightest frame, relative to the difference.
+    /// Returns the standard deviation of the exposure difference between the darkest and the brightest frame, relative
+    /// to this difference.
     pub fn uncertainty(&self) -> f64 {
         self.steps.variance(0..self.steps.means.len()).sqrt() / spread(&self.evs).max(STEP)
     }
 }
 
-/// Estimates the exposures of `frames`, in their order. `None` where neighbours in brightness cannot be compared. Ties are resolved by
-/// index, so pass frames in an order that does not depend on the command line.
+/// Estimates the exposures of `frames`, in their order. `None` where neighbours in brightness cannot be compared. Ties
+/// in brightness are resolved by index, so pass frames in an order that does not depend on the command line.
 pub fn estimate(frames: &[&Brightness]) -> Option<Estimate> {
     let order = by_brightness(frames);
     let pairs: Vec<Pair> =
@@ -114,14 +116,14 @@ pub fn estimate(frames: &[&Brightness]) -> Option<Estimate> {
     Some(Estimate { evs, places, steps })
 }
 
-/// Indices of `frames`, sorted by rising brightness.
+/// Returns the indices of `frames`, sorted by rising brightness.
 fn by_brightness(frames: &[&Brightness]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..frames.len()).collect();
     order.sort_by(|&a, &b| frames[a].histogram.mean().total_cmp(&frames[b].histogram.mean()));
     order
 }
 
-/// The largest difference in `evs`.
+/// Returns the difference between the largest and the smallest of `evs`.
 pub fn spread(evs: &[f64]) -> f64 {
     let largest = evs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let least = evs.iter().copied().fold(f64::INFINITY, f64::min);

@@ -1,7 +1,7 @@
 //! Exposure of each frame, and its source.
 //!
-//! In: the [`ExposureTags`] of all frames, or the user's `-e` list. Out: an [`Exposure`] per frame with the relative exposure
-//! t * ISO / N^2. Cost: negligible. Source: ISO 2720 for the relation.
+//! In: the [`ExposureTags`] of all frames, or the user's `-e` list. Out: an [`Exposure`] per frame with the relative
+//! exposure t * ISO / N^2. Cost: negligible. Source: ISO 2720 for the relation.
 
 pub(super) mod brightness;
 mod nominal;
@@ -32,12 +32,13 @@ pub enum ExposureSource {
 pub enum Reading {
     /// As they are written.
     AsWritten,
-    /// As the exact steps that they were rounded from: 1/30 s for 1/32, f/11 for f/11.31, ISO 250 for 252.
+    /// As the exact steps that were rounded to the written values: 1/32 s for 1/30 s, f/11.31 for f/11, ISO 252 for ISO
+    /// 250.
     ExactSteps,
 }
 
-/// Largest absolute exposure in EV, relative to t * ISO / N^2 = 1 s. No camera goes further; below 2^-40 s radiance leaves the range of
-/// a half-float.
+/// Largest absolute exposure in EV, relative to t * ISO / N^2 = 1 s. No camera goes further; below 2^-40 s radiance
+/// leaves the range of a half-float.
 pub const MOST_EV: f64 = 40.0;
 
 /// How a frame was exposed.
@@ -51,32 +52,35 @@ pub struct Exposure {
     pub iso: Option<f64>,
     relative: f64,
     correction_stops: f64,
-    /// Standard deviation relative to the nearest known exposure, in stops, where this one was estimated.
+    /// Standard deviation, in stops, of the difference from the nearest known exposure; `None` where this exposure was
+    /// not estimated.
     pub uncertainty_stops: Option<f64>,
     /// How the values were interpreted.
     pub reading: Reading,
     /// Source of the relative exposure.
     pub source: ExposureSource,
-    /// The tags that were used, for the report: `ExposureTime, FNumber, PhotographicSensitivity`, or `-e`; empty where estimated.
+    /// The tags that were used, for the report: `ExposureTime, FNumber, PhotographicSensitivity`, or `-e`; empty where
+    /// estimated.
     pub tags: String,
 }
 
 impl Exposure {
-    /// Returns the exposure `ev` stops above one second at f/1 and ISO 1, as given by the user; time, f-number and ISO are unknown.
-    /// `None` where 2^`ev` is not positive and finite.
+    /// Returns the exposure `ev` stops above one second at f/1 and ISO 1, as given by the user; time, f-number and ISO
+    /// are unknown. `None` where 2^`ev` is not positive and finite.
     pub fn given(ev: f64) -> Option<Self> {
         Some(Exposure::new(positive(libm::exp2(ev))?, ExposureSource::Given, "-e".into()))
     }
 
-    /// Returns an exposure of `ev` stops that was estimated from the pixels with this standard deviation. `None` where 2^`ev` is not
-    /// positive and finite.
+    /// Returns an exposure of `ev` stops that was estimated from the pixels with this standard deviation. `None` where
+    /// 2^`ev` is not positive and finite.
     pub fn estimated(ev: f64, uncertainty_stops: f64) -> Option<Self> {
         let exposure = Exposure::new(positive(libm::exp2(ev))?, ExposureSource::Estimated, String::new());
         Some(Exposure { uncertainty_stops: Some(uncertainty_stops), ..exposure })
     }
 
-    /// Returns an exposure recorded by the camera, with the time in seconds. A value that is `None` counts as a factor of 1, so it must be
-    /// missing in the whole bracket. `None` where the relative exposure is beyond +-[`MOST_EV`], which no camera reaches.
+    /// Returns an exposure recorded by the camera, with the time in seconds. An f-number or ISO that is `None` counts
+    /// as a factor of 1, so it must be missing in the whole bracket. `None` where the relative exposure is beyond
+    /// +-[`MOST_EV`], which no camera reaches.
     pub fn from_camera(time_s: f64, f_number: Option<f64>, iso: Option<f64>, tags: String) -> Option<Self> {
         let (n, s) = (f_number.unwrap_or(1.0), iso.unwrap_or(1.0));
         let relative = positive(time_s * s / (n * n)).filter(|relative| libm::log2(*relative).abs() <= MOST_EV)?;
@@ -98,8 +102,8 @@ impl Exposure {
         }
     }
 
-    /// Returns the exposure corrected by further `stops`. A correction that is not finite, or gives a relative exposure that is not
-    /// positive and finite, is ignored.
+    /// Returns the exposure corrected by further `stops`. A correction that is not finite, or gives a relative exposure
+    /// that is not positive and finite, is ignored.
     pub fn corrected(&self, stops: f64) -> Self {
         let corrected = positive(self.relative * libm::exp2(stops)).filter(|_| stops.is_finite());
         match corrected {
@@ -113,7 +117,8 @@ impl Exposure {
         self.correction_stops
     }
 
-    /// Relative exposure t * ISO / N^2 in seconds, or 2^EV where EV was given. Includes the correction; positive and finite.
+    /// Relative exposure t * ISO / N^2 in seconds, or 2^EV where EV was given. Includes the correction; positive and
+    /// finite.
     pub fn relative(&self) -> f64 {
         self.relative
     }
@@ -124,12 +129,12 @@ impl Exposure {
     }
 }
 
-/// Computes the exposures of a bracket from its tags, in the same order, `None` where they do not suffice. Also returns the assumptions
-/// made, as (frame index, text).
+/// Computes the exposures of a bracket from the tags of its frames, in their order; `None` for a frame whose tags do
+/// not suffice. Also returns the assumptions made, as (frame index, text).
 ///
-/// Where all frames have nominal values (dial markings), these are replaced by the exact steps that they stand for.
-/// An f-number or ISO that is missing in all frames counts as a factor of 1. Where it is missing in some frames only, the value of the
-/// others is assumed if they agree; if they differ, the frame's exposure is missing.
+/// Where all frames have nominal values (dial markings), these are replaced by the exact steps that they stand for. An
+/// f-number or ISO that is missing in all frames counts as a factor of 1. Where it is missing in some frames only, the
+/// value of the other frames is assumed if they agree; if they differ, the frame's exposure is missing.
 pub fn by_tags(tags: &[ExposureTags]) -> (Vec<Option<Exposure>>, Vec<(usize, String)>) {
     let (mut exposures, assumed) = as_written(tags);
     if let Some(exact) = nominal::exact(tags) {
@@ -183,7 +188,8 @@ fn common(values: impl Iterator<Item = Tagged>) -> Common {
     })
 }
 
-/// Returns the value to use: `Some(None)` where it is missing in all frames, `None` where none can be assumed.
+/// Returns the value to use: `Some(None)` where all frames lack it, `None` where only this frame lacks it and the
+/// values of the others differ.
 fn fill(
     own: Tagged,
     others: Common,
@@ -230,7 +236,8 @@ mod tests {
         assert!(assumed.is_empty());
         assert_eq!(Exposure::given(-3.0).unwrap().relative(), 0.125);
         assert_eq!(Exposure::given(-3.0).unwrap().ev(), -3.0);
-        // What is divided out is never 0 and never infinite, whatever the camera wrote.
+        // The relative exposure, by which pixel values are divided, is never 0 and never infinite, whatever the camera
+        // wrote.
         let of = |time, f, iso| by_tags(&[tags(Some(time), Some(f), Some(iso))]).0[0].clone();
         assert_eq!(of(30.0, 1.0, 4_000_000.0).map(|e| e.ev().round()), Some(27.0));
         assert_eq!(of(1e-5, 64.0, 25.0).map(|e| e.ev().round()), Some(-24.0));

@@ -1,31 +1,32 @@
 //! Exact exposure values for the nominal values (dial markings) that cameras write.
 //!
-//! In: the tags of a bracket. Out: the same with exact values where all are nominal, else nothing. Cost: a search in short tables.
-//! Source: the preferred numbers of ISO 2720 and of APEX (EXIF 2.32, annex C): times are powers of 2^(1/3) or 2^(1/2) s, f-numbers powers
-//! of the square roots of these, sensitivities 100 times a power of 2^(1/3). Nominal values are rounded: a shutter at 1/30 is open for
-//! 1/32 s, one at 15 s for 16 s, f/11 is 11.31, ISO 250 is 252. A Canon EOS that writes 1/30 s into ExposureTime writes 5, which is
-//! 1/32 s, into ShutterSpeedValue.
+//! In: the tags of a bracket. Out: the tags with exact values where all values are nominal, else nothing. Cost: a
+//! search in short tables. Source: the preferred numbers of ISO 2720 and of APEX (EXIF 2.32, annex C): times are powers
+//! of 2^(1/3) or 2^(1/2) s, f-numbers powers of the square roots of these, sensitivities 100 times a power of 2^(1/3).
+//! Nominal values are rounded: a shutter at 1/30 is open for 1/32 s, one at 15 s for 16 s, f/11 is 11.31, ISO 250 is
+//! 252. A Canon EOS that writes 1/30 s into ExposureTime writes 5, which is 1/32 s, into ShutterSpeedValue.
 //!
-//! Measured or computed values must not be changed: phones write 1/33 s, 16666667/1000000000 s, f/1.79. So all times of the bracket must
-//! be nominal and on one series, and either the same holds for f-numbers and sensitivities, or ShutterSpeedValue confirms the exact times.
+//! Measured or computed values must not be changed: phones write 1/33 s, 16666667/1000000000 s, f/1.79. So all times of
+//! the bracket must be nominal and on one series (thirds or halves of a stop), and either f-numbers and sensitivities
+//! must be so too, or ShutterSpeedValue confirms the exact times.
 
 use super::{ExposureTags, Tagged};
 
-/// Nominal values of successive powers of 2^(1/3): times from 1 s up, and denominators of times.
+/// Nominal values of successive powers of 2^(1/3): times in seconds from 1 s up, and denominators of times below 1 s.
 const THIRDS: [f64; 43] = [
     1.0, 1.3, 1.6, 2.0, 2.5, 3.2, 4.0, 5.0, 6.0, 8.0, 10.0, 13.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 80.0,
     100.0, 125.0, 160.0, 200.0, 250.0, 320.0, 400.0, 500.0, 640.0, 800.0, 1000.0, 1250.0, 1600.0, 2000.0, 2500.0,
     3200.0, 4000.0, 5000.0, 6400.0, 8000.0, 10_000.0, 12_800.0, 16_000.0,
 ];
-/// Alternative markings: the value in seconds, and its number of thirds of a stop above 1 s.
+/// Alternative markings of times: the value in seconds, and its number of thirds of a stop above 1 s.
 const OTHER_THIRDS: [(f64, i32); 5] = [(0.8, -1), (0.6, -2), (0.3, -5), (1.0 / 3.0, -5), (3.0, 5)];
-/// The same for powers of 2^(1/2).
+/// Like [`THIRDS`] and [`OTHER_THIRDS`], but for powers of 2^(1/2) and halves of a stop.
 const HALVES: [f64; 27] = [
     1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 11.0, 15.0, 22.0, 30.0, 45.0, 60.0, 90.0, 125.0, 180.0, 250.0, 350.0, 500.0,
     750.0, 1000.0, 1500.0, 2000.0, 3000.0, 4000.0, 6000.0, 8000.0,
 ];
 const OTHER_HALVES: [(f64, i32); 6] = [(0.7, -1), (0.3, -3), (10.0, 7), (0.1, -7), (20.0, 9), (0.05, -9)];
-/// Nominal f-numbers from 1 up: successive powers of 2^(1/6), then of 2^(1/4).
+/// Nominal f-numbers from 1 up: `F_THIRDS` for successive powers of 2^(1/6), `F_HALVES` for those of 2^(1/4).
 const F_THIRDS: [f64; 34] = [
     1.0, 1.1, 1.2, 1.4, 1.6, 1.8, 2.0, 2.2, 2.5, 2.8, 3.2, 3.5, 4.0, 4.5, 5.0, 5.6, 6.3, 7.1, 8.0, 9.0, 10.0, 11.0,
     13.0, 14.0, 16.0, 18.0, 20.0, 22.0, 25.0, 29.0, 32.0, 36.0, 40.0, 45.0,
@@ -39,16 +40,17 @@ const ISO_THIRDS: [f64; 37] = [
     25_600.0, 32_000.0, 40_000.0, 51_200.0, 64_000.0, 80_000.0, 102_400.0,
 ];
 
-/// Relative tolerance for matching a nominal value: decimals are truncated (333/10000 s), and neighbours are 20 % apart.
+/// Relative tolerance for matching a nominal value: decimals are truncated (333/10000 s), and neighbouring nominal
+/// values are 20 % apart.
 const SAME: f64 = 2e-3;
-/// Tolerance in stops for ShutterSpeedValue to confirm the exact time. Some cameras round it to eighths of a stop: half of one is
-/// 0.0625 stops, of which thirds take no more than 0.042.
+/// Tolerance in stops for ShutterSpeedValue to confirm the exact time. Some cameras round it to eighths of a stop. The
+/// error of this rounding is at most 0.0625 stops, and for multiples of a third of a stop at most 0.042.
 const CONFIRMED: f64 = 0.05;
-/// Smallest difference in stops between ShutterSpeedValue and the nominal time that shows the latter to be rounded: 1/30 and 1/32 are
-/// 0.093 apart.
+/// Smallest difference in stops between ShutterSpeedValue and the nominal time that shows the latter to be rounded:
+/// 1/30 and 1/32 are 0.093 apart.
 const APART: f64 = 0.06;
 
-/// Returns `written` with exact values where all of them are nominal.
+/// Returns `written` with exact values if all of its values are nominal, else `None`.
 pub(super) fn exact(written: &[ExposureTags]) -> Option<Vec<ExposureTags>> {
     if !written.iter().all(|n| n.is_time_printed) {
         return None;
@@ -56,7 +58,8 @@ pub(super) fn exact(written: &[ExposureTags]) -> Option<Vec<ExposureTags>> {
     let times = of_series(written, |n| n.time_s, &[thirds_of_time, halves_of_time])?;
     let f_numbers = of_series(written, |n| n.f_number, &[thirds_of_f_number, halves_of_f_number]);
     let isos = of_series(written, |n| n.iso, &[thirds_of_iso]);
-    // f/4.9 may be a phone, whose times are not rounded, unless ShutterSpeedValue confirms the exact times.
+    // An f-number that is not nominal, such as f/4.9, may be from a phone, whose times are not rounded, unless
+    // ShutterSpeedValue confirms the exact times.
     if (f_numbers.is_none() || isos.is_none()) && !is_confirmed(written, &times) {
         return None;
     }
@@ -69,7 +72,8 @@ pub(super) fn exact(written: &[ExposureTags]) -> Option<Vec<ExposureTags>> {
     Some(exact.collect())
 }
 
-/// Whether ShutterSpeedValue agrees with the exact time of every frame, and differs from the nominal time of at least one.
+/// Whether ShutterSpeedValue agrees with the exact time of every frame, and differs from the nominal time of at least
+/// one.
 fn is_confirmed(written: &[ExposureTags], times: &[Tagged]) -> bool {
     let off = |n: &ExposureTags, time: Tagged| Some((n.shutter_speed? + libm::log2(time?.0)).abs());
     let is_exact = |(n, time): (&ExposureTags, &Tagged)| off(n, *time).is_some_and(|stops| stops <= CONFIRMED);
@@ -77,7 +81,8 @@ fn is_confirmed(written: &[ExposureTags], times: &[Tagged]) -> bool {
     written.iter().zip(times).all(is_exact) && written.iter().any(is_rounded)
 }
 
-/// Returns the exact values of all frames, taken from the first of the `series` that contains all of them. A missing value stays missing.
+/// Returns the exact values of all frames, taken from the first of the `series` that contains all of them. A missing
+/// value stays missing.
 fn of_series(
     written: &[ExposureTags],
     value: impl Fn(&ExposureTags) -> Tagged,
@@ -147,7 +152,8 @@ mod tests {
 
     #[test]
     fn printed_numbers_are_rounded_steps() {
-        // No nominal value is farther from its step than 1/60 from 1/64 and 6 s from 6.35 s: 6.7 %; f-numbers and ISO are nearer.
+        // No nominal time is farther from its exact value than 15, 30 and 60 from 16, 32 and 64: 6.7 %. F-numbers and
+        // ISO are nearer.
         let near = |exact: Option<f64>, printed: f64, most: f64| (exact.unwrap() / printed - 1.0).abs() < most;
         for n in THIRDS {
             assert!(near(thirds_of_time(n), n, 0.068) && near(thirds_of_time(1.0 / n), 1.0 / n, 0.068), "{n}");
@@ -158,7 +164,7 @@ mod tests {
         for (n, ..) in OTHER_THIRDS {
             assert!(near(thirds_of_time(n), n, 0.06), "{n}");
         }
-        // "0.3" is half a stop under 0.5 by name only: 0.354.
+        // The marking 0.3 stands for half a stop below 0.5 s, which is 0.354 s: 18 % more.
         for (n, ..) in OTHER_HALVES {
             assert!(near(halves_of_time(n), n, 0.19), "{n}");
         }
@@ -188,7 +194,7 @@ mod tests {
     fn measured_estimates_are_sufficient() {
         assert_eq!(times(&[1.0 / 33.0, 1.0 / 60.0]), None);
         assert_eq!(times(&[1.0 / 1243.0, 1.0 / 60.0]), None);
-        // 1/45 is of the halves, 1/40 of the thirds.
+        // 1/45 is only in the series of halves, and 1/40 only in that of thirds.
         assert_eq!(times(&[1.0 / 45.0, 1.0 / 40.0]), None);
         let computed = ExposureTags { is_time_printed: false, ..frame(1.0 / 60.0, 1.8, 50.0) };
         assert_eq!(exact(&[computed, frame(1.0 / 30.0, 1.8, 50.0)]), None);
@@ -200,7 +206,7 @@ mod tests {
         let with = |time, shutter_speed| ExposureTags { shutter_speed: Some(shutter_speed), ..frame(time, 4.9, 100.0) };
         let exact_tags = exact(&[with(1.0 / 30.0, 5.0), with(1.0 / 125.0, 7.0)]).unwrap();
         assert_eq!((exact_tags[0].time_s.unwrap().0, exact_tags[0].f_number.unwrap().0), (1.0 / 32.0, 4.9));
-        // Computed from the nominal value: confirms nothing.
+        // A ShutterSpeedValue that was computed from the nominal time confirms nothing.
         assert_eq!(exact(&[with(1.0 / 30.0, 4.907), with(1.0 / 125.0, 6.966)]), None);
     }
 }

@@ -27,7 +27,7 @@ pub struct ExposureTags {
 }
 
 impl ExposureTags {
-    /// Reads the tags; the plain value comes before its APEX counterpart.
+    /// Reads the tags; a plain value takes precedence over its APEX counterpart.
     pub fn read(exif: &Exif) -> Self {
         let number = |tag: Tag| exif.get_field(tag, In::PRIMARY).and_then(|f| first_number(&f.value));
         let plain = |tag: Tag| number(tag).and_then(positive);
@@ -50,7 +50,8 @@ impl ExposureTags {
             (Tag::StandardOutputSensitivity, "StandardOutputSensitivity"),
             (Tag::ExposureIndex, "ExposureIndex"),
         ];
-        // PhotographicSensitivity is 65535 where the value does not fit (EXIF 2.3); another tag then holds it.
+        // PhotographicSensitivity is 65535 where the sensitivity does not fit (EXIF 2.3); another tag then has the
+        // sensitivity.
         let is_overflow = |tag: Tag, s: f64| tag == Tag::PhotographicSensitivity && s == 65535.0;
         let iso = sensitivities
             .into_iter()
@@ -60,7 +61,8 @@ impl ExposureTags {
         ExposureTags { time_s, f_number, iso, is_time_printed, shutter_speed, flash }
     }
 
-    /// The relative exposure in EV by these tags alone, as written. `None` without a time; other missing values count as a factor of 1.
+    /// Returns the relative exposure in EV by these tags alone, as written. `None` without a time; other missing values
+    /// count as a factor of 1.
     pub fn ev(&self) -> Option<f64> {
         let value = |tagged: Tagged| tagged.map(|(value, _)| value);
         let exposure = Exposure::from_camera(value(self.time_s)?, value(self.f_number), value(self.iso), String::new());
@@ -68,10 +70,12 @@ impl ExposureTags {
     }
 }
 
-/// Largest denominator of a dial marking: 1/16000 s in tenths. Measured times have denominators of a million and more.
+/// Largest denominator of a dial marking: 1/16000 s written as 10/160000. Measured times have denominators of a million
+/// and more.
 const MAX_PRINTED_DENOMINATOR: u32 = 160_000;
 
-/// Whether a rational is a dial marking: few digits, and in lowest terms a whole number, one over a whole number, or tenths.
+/// Whether a rational is a dial marking: few digits, and in lowest terms a whole number, one over a whole number, or
+/// tenths.
 fn is_printed(value: &Value) -> bool {
     let Value::Rational(v) = value else { return false };
     let Some(r) = v.first().filter(|r| r.num > 0 && r.denom > 0) else { return false };
@@ -84,7 +88,7 @@ fn is_printed(value: &Value) -> bool {
     r.denom <= MAX_PRINTED_DENOMINATOR && (num == 1 || denom == 1 || 10 % denom == 0 || 10 % num == 0)
 }
 
-/// The first number of a field of any numeric type; `None` where it is not finite.
+/// Returns the first number of a field of any numeric type; `None` where it is not finite.
 pub(in crate::bracket) fn first_number(value: &Value) -> Option<f64> {
     match value {
         Value::Rational(v) => v.first().map(|r| r.to_f64()),
@@ -104,7 +108,7 @@ mod tests {
     use exif::experimental::Writer;
     use exif::{Field, Rational, SRational};
 
-    /// The tags as read back from EXIF bytes that hold `fields`.
+    /// Returns the tags that are read from an EXIF block of `fields`.
     fn read(fields: &[(Tag, Value)]) -> ExposureTags {
         let fields: Vec<Field> =
             fields.iter().map(|(tag, value)| Field { tag: *tag, ifd_num: In::PRIMARY, value: value.clone() }).collect();

@@ -1,7 +1,8 @@
 //! Finds copies: photographs that are in the bracket twice, under two names.
 //!
-//! In: size, pixel values and brightness of each photograph. Out: the photographs whose pixels equal those of another. Copies must have one
-//! exposure. Cost: that of comparing histograms; pixels are compared only where these are equal.
+//! In: size, pixel values and brightness of each photograph. Out: the photographs whose pixels equal those of another.
+//! Copies must have equal exposures. Cost: that of comparing histograms; pixels are compared only where these are
+//! equal.
 //!
 //! Frames that are entirely underexposed or clipped may be equal without being copies, and are ignored.
 
@@ -10,7 +11,7 @@ use crate::bracket::window::Store;
 use crate::error::{Result, Warning};
 use std::path::{Path, PathBuf};
 
-/// What is compared of one photograph.
+/// The properties of one photograph that are compared.
 pub(crate) struct Look<'a> {
     pub path: &'a Path,
     pub size: (usize, usize),
@@ -23,7 +24,7 @@ pub(crate) struct Look<'a> {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Copied {
     copy: usize,
-    /// The first photograph with these pixels, by path.
+    /// Index of the photograph with these pixels whose path sorts first.
     original: usize,
     path: PathBuf,
     other: PathBuf,
@@ -35,7 +36,7 @@ impl Copied {
     }
 }
 
-/// Returns all photographs that are copies of an earlier one, in the order of their paths.
+/// Returns the photographs that are copies of one whose path sorts before theirs, in the order of their paths.
 ///
 /// # Errors
 /// [`Error::Scratch`](crate::error::Error::Scratch) where the frames are on disk.
@@ -62,7 +63,7 @@ pub(crate) fn find(looks: &[Look]) -> Result<Vec<Copied>> {
     Ok(copies)
 }
 
-/// Rows compared at a time, to bound the memory for frames on disk.
+/// Number of rows compared at a time; bounds the memory for frames on disk.
 const AT_ONCE: usize = 64;
 
 fn is_copy(a: &Look, b: &Look) -> Result<bool> {
@@ -79,18 +80,19 @@ fn is_copy(a: &Look, b: &Look) -> Result<bool> {
     Ok(true)
 }
 
-/// Returns why the exposures `evs` are impossible; `None` where no copy contradicts them.
+/// Returns a message about the first copy whose exposure in `evs` differs from that of its original; `None` where there
+/// is none.
 pub(crate) fn contradiction(copies: &[Copied], evs: &[f64]) -> Option<String> {
     copies.iter().find_map(|Copied { copy, original, path, other }| {
         let apart = (evs[*copy] - evs[*original]).abs();
         (apart > ONE_EXPOSURE).then(|| {
             let (path, other) = (path.display(), other.display());
-            format!("{path} has the same pixels as {other}, but an exposure {apart:.1} EV apart")
+            format!("{path} has the same pixels as {other}, but its exposure differs by {apart:.1} EV")
         })
     })
 }
 
-/// Largest difference in EV between two notations of one exposure.
+/// Exposures that differ by no more than this, in EV, count as two notations of the same exposure.
 const ONE_EXPOSURE: f64 = 0.1;
 
 #[cfg(test)]
@@ -98,7 +100,7 @@ mod tests {
     use super::*;
     use crate::bracket::Samples;
 
-    /// What is found of 8 x 100 pictures of these codes, named by their index.
+    /// Returns the copies found among `pictures` of 8 x 100 pixels, as (index of the copy, index of the original).
     fn copies(pictures: &[Samples]) -> Vec<(usize, usize)> {
         let names: Vec<PathBuf> = (0..pictures.len()).map(|i| format!("{i}").into()).collect();
         let brightness: Vec<Brightness> = pictures.iter().map(|p| Brightness::of(p, 8)).collect();
@@ -121,7 +123,7 @@ mod tests {
     #[test]
     fn every_pixel_counts() {
         let plain = picture(|i| (i % 200) as u8);
-        // The same histogram, one pixel of the last band exchanged with another.
+        // The same histogram, but the green values of the last two pixels are exchanged.
         let mut other = plain.clone();
         if let Samples::Eight(v) = &mut other {
             v.swap(2395, 2398);

@@ -1,9 +1,10 @@
 //! Chooses the exposures of a bracket: from EXIF where it is consistent, else from the pixels.
 //!
-//! In: exposure tags and brightness of all frames. Out: an [`Exposure`] for each, and warnings. Cost: tables of 256 entries.
+//! In: exposure tags and brightness of all frames. Out: an [`Exposure`] for each frame, and warnings. Cost: tables of
+//! 256 entries.
 //!
-//! EXIF is checked frame by frame. Where one exposure contradicts the others, or is missing, those that agree are used, and the rest is
-//! estimated from the pixels relative to the nearest of them.
+//! EXIF is checked frame by frame. Where an exposure contradicts the others or is missing, the consistent exposures are
+//! used, and the exposure of each other frame is estimated from the pixels relative to the nearest consistent one.
 
 use super::super::exposure::{self, Exposure};
 use super::Picture;
@@ -19,7 +20,7 @@ pub(super) fn settle(
 ) -> Result<Vec<Exposure>> {
     let tags: Vec<_> = pictures.iter().map(|p| p.tags).collect();
     let (by_tags, assumed) = exposure::by_tags(&tags);
-    // By path, so that the result does not depend on the order of the command line.
+    // Sorted by path, so that the result does not depend on the order of the command line.
     let mut order: Vec<usize> = (0..pictures.len()).filter(|&i| pictures[i].excluded.is_none()).collect();
     order.sort_by(|&a, &b| pictures[a].path.cmp(&pictures[b].path));
     let with_exif: Vec<usize> = order.iter().copied().filter(|&i| by_tags[i].is_some()).collect();
@@ -53,14 +54,14 @@ pub(super) fn settle(
                 reason: format!("the exposures in the files contradict the pixels ({what}), and {reason}"),
             },
         };
-        // Copies of one photograph have one exposure, whatever it shows.
+        // Where all files are copies of one photograph, their exposures are equal, and no estimate is needed.
         let is_one = missing.is_empty() && copies.len() + 1 == pictures.len();
         let estimate = match is_one {
             true => Some(Estimate::alike(order.len())),
             false => brightness::estimate(&seen(&order)),
         };
         let estimate = estimate
-            .ok_or_else(|| unknown("it cannot be estimated from the pixels, because the frames are too dark, too bright or have too few tones"))?;
+            .ok_or_else(|| unknown("the exposures cannot be estimated from the pixels, because the frames are too dark, too bright or have too few tones"))?;
         if accepted.is_empty() && brightness::all_alike(&estimate.evs) && !is_one {
             return Err(unknown("the frames are equally bright"));
         }
@@ -68,7 +69,8 @@ pub(super) fn settle(
         for (at, &i) in order.iter().enumerate().filter(|(_, i)| !accepted.contains(i)) {
             let (from, anchor) = places.anchor(at);
             let estimated = Exposure::estimated(estimate.evs[at] + anchor, estimate.deviation(at, from));
-            exposures[i] = Some(estimated.ok_or_else(|| unknown("the pixels do not determine the exposures"))?);
+            exposures[i] =
+                Some(estimated.ok_or_else(|| unknown("the exposures cannot be calculated from the pixels"))?);
         }
         let uncertainty = estimate.uncertainty();
         let mut by_step = estimate.evs;
@@ -76,7 +78,8 @@ pub(super) fn settle(
         let listed: Vec<String> = by_step.iter().map(|step| format!("{step:.1}")).collect();
         let odd = with_exif.iter().filter(|&i| !accepted.is_empty() && !accepted.contains(i));
         let odd: Vec<String> = odd.map(|&i| pictures[i].path.display().to_string()).collect();
-        let odd = if odd.is_empty() { String::new() } else { format!("; that of {} is ignored", odd.join(", ")) };
+        let odd =
+            if odd.is_empty() { String::new() } else { format!("; the exposure of {} is ignored", odd.join(", ")) };
         let detail =
             format!("{what}{odd}; the estimates are {} EV, ± {:.0} %", listed.join(", "), 100.0 * uncertainty.abs());
         warnings.push(match contradiction {
@@ -96,8 +99,9 @@ pub(super) fn settle(
 /// Combines exposures estimated from the pixels, which have an arbitrary common offset, with known exposures.
 struct Places<'a> {
     steps: &'a [f64],
-    /// Index of each accepted frame and the EV to add to its step. Where none is accepted: one entry, the median of all frames with an
-    /// exposure in EXIF, or of all frames where there are none.
+    /// For each accepted frame, its index in `steps` and the EV to add to its step. Where no frame is accepted, one
+    /// entry: the one with the median EV to add, among the frames with an exposure in EXIF, or among all frames where
+    /// EXIF has no exposures.
     known: Vec<(usize, f64)>,
 }
 
@@ -118,7 +122,8 @@ impl<'a> Places<'a> {
         Places { steps, known }
     }
 
-    /// Returns the known frame nearest in exposure to the frame `at`, and the EV to add to the steps.
+    /// Returns the index of the known frame nearest in exposure to the frame `at`, and the EV to add to the step of
+    /// `at`.
     fn anchor(&self, at: usize) -> (usize, f64) {
         let off = |place: &(usize, f64)| (self.steps[place.0] - self.steps[at]).abs();
         let nearest = self.known.iter().min_by(|a, b| off(a).total_cmp(&off(b)));

@@ -1,10 +1,11 @@
 //! Loads files as a bracket.
 //!
-//! In: paths and [`LoadOptions`]. Out: a [`Bracket`] and warnings. The result does not depend on the order of the paths, except through
-//! `-e` and a reference given by number. Cost: that of the decoders, one frame per thread.
+//! In: paths and [`LoadOptions`]. Out: a [`Bracket`] and warnings. The result does not depend on the order of the
+//! paths, except through `-e` and a reference given by number. Cost: that of the decoders, one frame per thread.
 //!
-//! Exposures come from the user where given, else from EXIF; missing or impossible ones are estimated from the pixels. Frames lit by the
-//! flash are excluded where the others are not, because they show a differently lit scene.
+//! Exposures come from the user where given, else from EXIF; missing or impossible ones are estimated from the pixels.
+//! Frames lit by the flash are excluded if at least two others are not and no exposures are given, because they show a
+//! differently lit scene. A frame chosen as the reference is not excluded.
 
 pub(crate) mod copies;
 mod exposures;
@@ -57,7 +58,8 @@ impl Default for LoadOptions {
 }
 
 impl LoadOptions {
-    /// Limits for decoding one photograph; of the memory limit, the part available for pixels.
+    /// Returns the limits for decoding one photograph; its memory is the part of the memory limit that is available for
+    /// pixels.
     pub fn limits(&self) -> Limits {
         Limits { max_pixels: self.max_pixels, memory: self.memory.as_ref().map(MemoryLimit::for_pixels) }
     }
@@ -69,9 +71,9 @@ pub const MOST_FRAMES: usize = 1000;
 /// Reads the files `paths` as one bracket.
 ///
 /// # Errors
-/// For the arguments: [`Error::TooFewFrames`], [`Error::SameFile`], [`Error::Option`]. For the first file, in the order given, that fails:
-/// [`Error::Read`], [`Error::UnknownFormat`], [`Error::Decode`], [`Error::SizeMismatch`]. [`Error::NoExposure`] where exposures are
-/// missing from the files and cannot be estimated from the pixels.
+/// For the arguments: [`Error::TooFewFrames`], [`Error::SameFile`], [`Error::Option`]. For the first file, in the order
+/// given, that fails: [`Error::Read`], [`Error::UnknownFormat`], [`Error::Decode`], [`Error::SizeMismatch`].
+/// [`Error::NoExposure`] where exposures are missing from the files and cannot be estimated from the pixels.
 pub fn load(paths: &[PathBuf], options: &LoadOptions) -> Result<(Bracket, Vec<Warning>)> {
     load_with_progress(paths, options, &|_| ())
 }
@@ -172,7 +174,8 @@ pub(crate) fn load_for(
     Ok((bracket, warnings))
 }
 
-/// Reads all `paths` within the memory of `limit`. The second value is the scratch file used, where they do not fit.
+/// Reads all `paths` within the memory of `limit`. Also returns the scratch file and the memory budget where the frames
+/// do not fit into memory.
 fn read_within(
     limit: &MemoryLimit,
     stages: &Stages,
@@ -207,7 +210,7 @@ fn given_exposures(ev: &[f64], files: usize) -> Result<Vec<Exposure>> {
     let wrong = |reason| Error::Option { option: "-e", reason };
     if ev.len() != files {
         return Err(wrong(format!(
-            "{} exposures for {files} photographs; give one for each, in their order",
+            "{} exposures for {files} photographs; give one exposure for each photograph",
             ev.len()
         )));
     }
@@ -215,7 +218,7 @@ fn given_exposures(ev: &[f64], files: usize) -> Result<Vec<Exposure>> {
         .map(|&ev| {
             let exposure = Exposure::given(ev).filter(|_| ev.abs() <= MOST_EV);
             exposure.ok_or_else(|| {
-                wrong(format!("{ev} is not an exposure; give stops within +-{MOST_EV}, as in `-e=-2,0,2`"))
+                wrong(format!("{ev} is not an exposure; give an EV from -{MOST_EV} to {MOST_EV}, as in `-e=-2,0,2`"))
             })
         })
         .collect()
@@ -246,7 +249,8 @@ fn check_sizes(pictures: &[Picture]) -> Result<()> {
     }
 }
 
-/// Scales 8-bit frames to 0..=65535 where other frames have 16 bits, so that all pixel values of a bracket have one scale.
+/// Scales 8-bit frames to 0..=65535 where other frames have 16 bits, so that all pixel values of a bracket have one
+/// scale.
 fn widen_mixed_depths(pictures: &mut [Picture], scratch: Option<&Arc<Scratch>>) -> Result<()> {
     if pictures.iter().all(|p| p.store.max() == pictures[0].store.max()) {
         return Ok(());
@@ -267,8 +271,9 @@ fn widen_mixed_depths(pictures: &mut [Picture], scratch: Option<&Arc<Scratch>>) 
     Ok(())
 }
 
-/// Excludes the frames lit by the flash where at least two others were not, except a reference chosen by the user. Returns warnings for
-/// the flash frames that are kept. Excluded frames get no warning here because the user may still place them.
+/// Excludes the frames lit by the flash if at least two frames were taken without it; a reference frame chosen by the
+/// user is not excluded. Returns warnings for the flash frames that are kept. Excluded frames get no warning here
+/// because the user may still include them.
 fn exclude_flash(pictures: &mut [Picture], reference: &ReferenceChoice) -> Result<Vec<Warning>> {
     let unlit = pictures.iter().filter(|p| !p.tags.flash).count();
     if unlit == 0 || unlit == pictures.len() {
@@ -288,7 +293,7 @@ fn exclude_flash(pictures: &mut [Picture], reference: &ReferenceChoice) -> Resul
     Ok(warnings)
 }
 
-/// Warns where the exposures given by the user contradict the pixels; they are used all the same.
+/// Warns where the exposures given by the user contradict the pixels; these exposures are used nevertheless.
 fn check_given(pictures: &[Picture], copies: &[Copied], given: &[Exposure]) -> Option<Warning> {
     let seen: Vec<&Brightness> = pictures.iter().map(|p| &p.brightness).collect();
     let given: Vec<f64> = given.iter().map(Exposure::ev).collect();

@@ -1,6 +1,7 @@
 //! One file of a bracket, read and decoded.
 //!
-//! In: a path. Out: a [`Picture`]: pixel values, brightness statistics, exposure tags, profile and capture data. Cost: that of the decoder.
+//! In: a path. Out: a [`Picture`]: pixel values, brightness statistics, exposure tags, profile and capture data. Cost:
+//! that of the decoder.
 
 use crate::bracket::colour::{Found, Profile};
 use crate::bracket::decode::{self, Decoded};
@@ -27,7 +28,7 @@ pub(super) struct Picture {
     pub width: usize,
     pub height: usize,
     pub store: Store,
-    /// Memory in bytes needed to decode it.
+    /// Memory in bytes needed to decode the file.
     pub decoding: u64,
     pub brightness: Brightness,
     pub well_exposed: u64,
@@ -78,7 +79,7 @@ impl Picture {
         (self.width, self.height)
     }
 
-    /// The view of it that the search for copies needs.
+    /// Returns the properties that the search for copies compares.
     pub fn look(&self) -> Look<'_> {
         let Picture { path, store, brightness, well_exposed, .. } = self;
         Look { path, size: self.size(), store, brightness, well_exposed: *well_exposed }
@@ -90,7 +91,8 @@ pub(in crate::bracket) fn content(path: &Path, limits: &Limits) -> Result<Vec<u8
     intake::whole_if(path, limits.most_bytes(), |begin| decode::check_format(path, begin))
 }
 
-/// Rejects results of hdralign: a second `merge *.jpg` would merge the results of the first. Damaged files are left to the decoder.
+/// Rejects results of hdralign: a second `merge *.jpg` would merge the results of the first one. Damaged files are left
+/// to the decoder.
 fn refuse_result(path: &Path, bytes: &[u8], limits: &Limits) -> Result<()> {
     match Header::of(path, Cursor::new(bytes), limits) {
         Ok(header) if header.is_ours() => {
@@ -121,7 +123,7 @@ pub(in crate::bracket) fn profile(
         Found::Rgb(profile) => {
             if profile.primaries.is_none() {
                 notes.push(format!(
-                    "the primaries of its colour profile ({}) are unknown; sRGB's are assumed",
+                    "the primaries of its colour profile ({}) are unknown; sRGB is assumed",
                     profile.description
                 ));
             }

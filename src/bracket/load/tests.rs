@@ -27,7 +27,7 @@ impl Files {
 
 const WIDTH: usize = 128;
 
-/// A smooth scene `ev` stops over its base, under sRGB's curve with the shoulder and the contrast of a camera.
+/// Returns a smooth scene exposed by `ev` stops, under sRGB's curve after the shoulder and the contrast of a camera.
 fn exposed(ev: f64) -> Vec<u8> {
     (0..WIDTH * 96)
         .flat_map(|i| {
@@ -110,7 +110,7 @@ fn exif_gives_exposure_and_capture() {
     assert_eq!(warnings, []);
     let frame = &bracket.frames()[0];
     assert_eq!((frame.exposure.time_s, frame.exposure.f_number, frame.exposure.iso), (Some(0.01), Some(8.0), None));
-    // 1/100 s is a third of a stop over 1/125, which is 1/128: 2^(-20/3) s.
+    // 1/100 s is a third of a stop above 1/125 s, whose exact value is 1/128 s: 2^(-20/3) s. The f-number is 8.
     assert!((frame.exposure.relative() / (libm::exp2(-20.0 / 3.0) / 64.0) - 1.0).abs() < 1e-12);
     assert_eq!(frame.exposure.tags, "ExposureTime, FNumber");
     let wanted = Capture {

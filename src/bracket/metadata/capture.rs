@@ -1,14 +1,14 @@
 //! Capture data other than the exposure.
 //!
-//! In: EXIF. Out: a [`Capture`] without blank fields, padding and dates of clocks that were never set, and the camera name. Cost: negligible.
-//! Source: EXIF 2.32, sections 4.6.4 and 4.6.5.
+//! In: EXIF. Out: a [`Capture`] without blank fields, padding and dates of clocks that were never set, and the camera
+//! name. Cost: negligible. Source: EXIF 2.32, sections 4.6.4 and 4.6.5.
 
 use crate::bracket::metadata::carried;
 use crate::bracket::metadata::moment::{is_date, taken};
 use crate::bracket::{Capture, exposure};
 use exif::{Exif, In, Tag, Value};
 
-/// Reads the data that is copied to the outputs; with the GPS position if `keep_gps`.
+/// Reads the data that is copied to the outputs, including the GPS position if `keep_gps`.
 pub(crate) fn read(exif: &Exif, keep_gps: bool) -> Capture {
     let focal_length = exif.get_field(Tag::FocalLength, In::PRIMARY).and_then(|f| exposure::first_number(&f.value));
     Capture {
@@ -23,7 +23,7 @@ pub(crate) fn read(exif: &Exif, keep_gps: bool) -> Capture {
 }
 
 impl Capture {
-    /// Make and model as one text without a repeated make: `Canon EOS 5D`. `None` where neither is known.
+    /// Returns make and model as one text without a repeated make: `Canon EOS 5D`. `None` where neither is known.
     pub fn camera(&self) -> Option<String> {
         let text = |t: &Option<String>| t.as_deref().unwrap_or_default().trim_matches(['\0', ' ']).to_owned();
         let (make, model) = (text(&self.make), text(&self.model));
@@ -34,7 +34,7 @@ impl Capture {
     }
 }
 
-/// The first string of a text field, without padding; `None` where it is empty.
+/// Returns the first string of a text field, without padding; `None` where it is empty.
 pub(crate) fn ascii(exif: &Exif, tag: Tag) -> Option<String> {
     let Value::Ascii(lines) = &exif.get_field(tag, In::PRIMARY)?.value else {
         return None;

@@ -1,11 +1,12 @@
 //! The EXIF fields of a photograph that are valid for results too.
 //!
-//! In: EXIF. Out: a TIFF block of the fields that describe the photograph: camera, lens, exposure, times, author. Cost: negligible.
-//! Source: EXIF 2.32, sections 4.6.4 to 4.6.6; the standard's list of tags that an editor must update or drop, annex E.
+//! In: EXIF. Out: a TIFF block of the fields that describe the photograph: camera, lens, exposure, times, author. Cost:
+//! negligible. Source: EXIF 2.32, sections 4.6.4 to 4.6.6; the standard's list of tags that an editor must update or
+//! drop, annex E.
 //!
-//! Left out are the fields of the stored pixels (sizes, orientation, encoding, colour space), which the writer sets; the unique image id;
-//! the thumbnail; the maker note, whose offsets become invalid; positions in the image, which has been moved and cropped; and, unless
-//! requested, the GPS position.
+//! Left out are the fields of the stored pixels (sizes, orientation, encoding, colour space), which the writer sets;
+//! the unique image id; the thumbnail; the maker note, whose offsets become invalid; positions in the image, which has
+//! been moved and cropped; and, unless requested, the GPS position.
 
 use exif::experimental::Writer;
 use exif::{Context, Exif, Field, In, Tag, Value};
@@ -47,7 +48,8 @@ const PRIVATE: u16 = 0xC000;
 /// Longest field that is copied, in bytes.
 const LONGEST: usize = 4096;
 
-/// Returns the block, with the GPS position if `keep_gps`; `None` where it has no fields.
+/// Returns the TIFF block of the fields that are valid for results, including the GPS position if `keep_gps`; `None`
+/// where there are no such fields.
 pub(crate) fn carried(exif: &Exif, keep_gps: bool) -> Option<Vec<u8>> {
     let mut fields: BTreeMap<(u8, u16), &Field> = BTreeMap::new();
     for field in exif.fields().filter(|field| field.ifd_num == In::PRIMARY && is_writable(&field.value)) {

@@ -1,7 +1,7 @@
 //! Metadata of a frame other than its exposure.
 //!
-//! In: EXIF. Out: camera, lens and settings (`capture`), the time it was taken (`moment`), and the fields that results carry (`carried`). Exposure
-//! is read in [`exposure`](super::exposure).
+//! In: EXIF. Out: camera, lens and settings (`capture`), the time of the photograph (`moment`), and the fields that are
+//! copied to results (`carried`). The exposure is read in [`exposure`](super::exposure).
 
 pub(crate) mod capture;
 pub(crate) mod carried;

@@ -15,7 +15,7 @@ pub struct Moment {
 }
 
 impl Moment {
-    /// Seconds from `earlier` to this time.
+    /// Returns the seconds from `earlier` to this time.
     pub fn since(&self, earlier: &Moment) -> f64 {
         (self.seconds - earlier.seconds) as f64 + (f64::from(self.nanoseconds) - f64::from(earlier.nanoseconds)) * 1e-9
     }
@@ -40,14 +40,14 @@ impl Moment {
     }
 }
 
-/// Days in the Gregorian calendar since 1 March of the year 0.
+/// Returns the number of days from 1 March of the year 0 to a date of the Gregorian calendar.
 fn days(year: i64, month: i64, day: i64) -> i64 {
     let (year, month) = if month > 2 { (year, month - 3) } else { (year - 1, month + 9) };
     365 * year + year.div_euclid(4) - year.div_euclid(100) + year.div_euclid(400) + (153 * month + 2) / 5 + day - 1
 }
 
 impl fmt::Display for Moment {
-    /// As EXIF writes it, without the fraction: `2026:11:21 17:05:59`.
+    /// Writes the time as EXIF does, without the fraction: `2026:11:21 17:05:59`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (year, month, day) = date(self.seconds.div_euclid(86_400));
         let clock = self.seconds.rem_euclid(86_400);
@@ -55,7 +55,7 @@ impl fmt::Display for Moment {
     }
 }
 
-/// Year, month and day: the inverse of [`days`].
+/// Returns year, month and day: the inverse of [`days`].
 fn date(days: i64) -> (i64, i64, i64) {
     // 400 years have 146,097 days; within them, years begin in March, so that the leap day is the last.
     let (era, of_era) = (days.div_euclid(146_097), days.rem_euclid(146_097));
@@ -67,7 +67,8 @@ fn date(days: i64) -> (i64, i64, i64) {
     (era * 400 + year_of_era + next, month, day)
 }
 
-/// The time of the exposure, else of digitising, else of the last change; a camera writes the same time to all.
+/// Returns the time of the exposure, else of digitising, else of the last change; a camera writes the same time to all
+/// three.
 pub(crate) fn taken(text: &impl Fn(Tag) -> Option<String>) -> Option<Moment> {
     [
         (Tag::DateTimeOriginal, Tag::SubSecTimeOriginal),

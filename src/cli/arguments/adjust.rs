@@ -44,7 +44,7 @@ pub struct Adjust {
 }
 
 impl Adjust {
-    /// The adjustments of the library.
+    /// Returns the options of the library for these arguments.
     pub fn options(&self) -> Options {
         Options {
             white_balance: self.white_balance,

@@ -8,23 +8,36 @@ use strum::{EnumMessage, IntoEnumIterator};
 /// A value, its name, and a sentence that describes it.
 pub type Named<T> = (T, &'static str, &'static str);
 
-/// Accepts one of several named values.
+/// A parser of arguments that accepts one of several named values.
 #[derive(Clone)]
-pub struct Choice<T>(Vec<Named<T>>);
+pub struct Choice<T> {
+    values: Vec<Named<T>>,
+    /// Names that are accepted, but not listed.
+    hidden: Vec<&'static str>,
+}
 
 impl<T> FromIterator<Named<T>> for Choice<T> {
     fn from_iter<I: IntoIterator<Item = Named<T>>>(values: I) -> Self {
-        Choice(values.into_iter().collect())
+        Choice { values: values.into_iter().collect(), hidden: Vec::new() }
     }
 }
 
 impl<T> Choice<T> {
+    /// Returns the same parser, which accepts the values for which `is_hidden` is true, but does not list them.
+    pub fn hiding(self, is_hidden: impl Fn(&T) -> bool) -> Choice<T> {
+        let hidden = self.values.iter().filter(|named| is_hidden(&named.0)).map(|named| named.1).collect();
+        Choice { hidden, ..self }
+    }
+
     fn possible(&self) -> impl Iterator<Item = PossibleValue> {
-        self.0.iter().map(|(_, name, about)| PossibleValue::new(*name).help(about.trim_end_matches('.')))
+        self.values.iter().map(|(_, name, about)| {
+            let about = about.split_whitespace().collect::<Vec<_>>().join(" ");
+            PossibleValue::new(*name).help(about.trim_end_matches('.').to_owned()).hide(self.hidden.contains(name))
+        })
     }
 }
 
-/// `value` with its name and its documentation.
+/// Returns `value` with its name and its documentation.
 pub fn named<T: EnumMessage>(value: T) -> Named<T>
 where
     for<'a> &'static str: From<&'a T>,
@@ -33,7 +46,7 @@ where
     (value, name, about)
 }
 
-/// Accepts every value of `T`.
+/// Returns a parser that accepts every value of `T` by its name.
 pub fn choice<T>() -> Choice<T>
 where
     T: IntoEnumIterator + EnumMessage,
@@ -47,7 +60,7 @@ impl<T: Clone + Send + Sync + 'static> TypedValueParser for Choice<T> {
 
     fn parse_ref(&self, command: &Command, arg: Option<&Arg>, text: &OsStr) -> Result<T, clap::Error> {
         let name = PossibleValuesParser::new(self.possible()).parse_ref(command, arg, text)?;
-        let found = self.0.iter().find(|named| named.1 == name);
+        let found = self.values.iter().find(|named| named.1 == name);
         found.map(|named| named.0.clone()).ok_or_else(|| clap::Error::new(clap::error::ErrorKind::InvalidValue))
     }
 

@@ -18,21 +18,22 @@ use std::path::{Path, PathBuf};
 /// Exposures and method of alignment.
 #[derive(Debug, Args)]
 pub struct Method {
-    /// Set the exposures in EV, in the order of the photographs
+    /// Set the exposures in EV, one for each photograph, in the order of the command
     ///
-    /// +1 is twice the light of 0. They replace those in EXIF, and are used even if they contradict the pixels
+    /// With -e=-2,0,2 the first photograph is the darkest. *.jpg stands for the files in the order of their names. These
+    /// exposures replace those in EXIF, and are used even if they contradict the pixels
     #[arg(short, long, help_heading = INPUT, value_name = "EV,...", value_delimiter = ',', allow_hyphen_values = true)]
     ev: Option<Vec<f64>>,
 
-    /// Set the alignment method
+    /// Set the alignment method; auto tries several and checks the results
     #[arg(long, help_heading = ALIGNMENT, value_parser = choice::<AlignMode>(), default_value_t, value_name = "METHOD")]
     align: AlignMode,
 
-    /// Set the largest rotation searched with bitmaps, in degrees to either side
+    /// Set the largest rotation that auto and mtb search with bitmaps, in degrees to either side
     #[arg(long, help_heading = ALIGNMENT, hide_short_help = true, value_name = "DEG", default_value_t = MtbOptions::default().max_rotation_deg, allow_negative_numbers = true)]
     max_rotation: f64,
 
-    /// Set the robust estimator for feature matches
+    /// Set the robust estimator, which separates right from wrong feature matches; for experts
     #[arg(long, help_heading = ALIGNMENT, hide_short_help = true, value_parser = choice::<RobustMethod>(), default_value_t, value_name = "METHOD")]
     robust: RobustMethod,
 }
@@ -49,50 +50,65 @@ pub struct Work {
 
     /// Limit the memory, for example 4GB [default: 3/4 of the free memory]
     ///
-    /// What does not fit is kept in a temporary file in the --scratch folder. Results do not depend on the limit
+    /// GB is 10^9 bytes, GiB 2^30. Data that do not fit are kept in a temporary file in the --scratch folder. Results
+    /// do not depend on the limit. On systems other than Linux there is no limit by default
     #[arg(long, value_name = "SIZE", value_parser = memory::size)]
     max_memory: Option<u64>,
 
     #[command(flatten)]
     pub largest: Largest,
 
-    /// Set the folder of temporary data that do not fit into memory [default: the folder of the first result, or the system's temporary folder if there is none]
+    /// Set the folder for temporary data that do not fit into memory; it must exist
+    ///
+    /// By default merge and batch use the folder of the results, the other commands the system's temporary folder
     #[arg(long, hide_short_help = true, value_name = "FOLDER")]
     scratch: Option<PathBuf>,
 
-    /// Exit with code 3 if the result is degraded
-    ///
-    /// A result is degraded if a frame could not be aligned, its transform was assumed or is uncertain, the frames overlap by less than half, or
-    /// an exposure or the response was estimated or contradicts the pixels. The files are written all the same
-    #[arg(long, help_heading = OUTPUT)]
+    /// Exit with code 3 if the result is degraded (may be inaccurate)
+    #[arg(long, help_heading = OUTPUT, long_help = STRICT)]
     pub strict: bool,
 
     /// Replace existing files
     #[arg(short, long, help_heading = OUTPUT)]
     pub force: bool,
 
-    /// Print no progress, summary or warnings
+    /// Print only errors and the names of the files written
     ///
-    /// Errors are still printed, and results are still listed on stdout
+    /// The names go to stdout. Progress is shown on a terminal only, also without this option
     #[arg(short, long, help_heading = OUTPUT)]
     pub quiet: bool,
 }
 
+/// The help of `--strict`. Lines have at most 90 characters, so that they are not wrapped.
+const STRICT: &str = "\
+Exit with code 3 if the result is degraded (may be inaccurate)
+
+A result is degraded if
+- a frame could not be aligned, or only with a confidence below 0.5
+- the transform of a frame was assumed, unless all other frames are unmoved
+- the frames overlap by less than half, or two of them have the same pixels
+- the flash fired in some frames only, or the camera tone-mapped the frames locally
+- an exposure is missing, was estimated, or contradicts the pixels
+- the response could not be recovered, is of another camera, or contradicts the pixels
+- of several brackets for one response, one cannot be used or is of another camera
+All files are written. Frames excluded with --leave-out do not count";
+
 /// Limit on the size of images.
 #[derive(Debug, Args)]
 pub struct Largest {
-    /// Limit the pixels of an image, as 800M or 2G [default: 500M]; larger images are rejected before they are decoded
+    /// Limit the pixels of an image, for example 800M or 2G [default: 500M]; larger images are rejected before they are
+    /// decoded
     #[arg(long, help_heading = RESOURCES, hide_short_help = true, value_name = "N", value_parser = memory::count)]
     max_pixels: Option<u64>,
 }
 
 impl Largest {
-    /// The limit in pixels, if it was given.
+    /// Returns the limit in pixels if the user gave it.
     pub fn given(&self) -> Option<u64> {
         self.max_pixels
     }
 
-    /// The limit in pixels, as given or by default.
+    /// Returns the limit in pixels: as given, or the default.
     pub fn pixels(&self) -> u64 {
         self.max_pixels.unwrap_or(Limits::MAX_PIXELS)
     }
@@ -106,20 +122,20 @@ pub struct Reading {
 
     /// Limit the memory, for example 4GB [default: 3/4 of the free memory]
     ///
-    /// Files that need more are rejected
+    /// GB is 10^9 bytes, GiB 2^30. Files that need more are rejected. On systems other than Linux there is no limit by default
     #[arg(long, help_heading = RESOURCES, value_name = "SIZE", value_parser = memory::size)]
     max_memory: Option<u64>,
 }
 
 impl Reading {
-    /// The limits of the library.
+    /// Returns the limits of the library for these arguments.
     pub fn limits(&self) -> Limits {
         let memory = allowed(self.max_memory).map(|bytes| bytes.saturating_sub(MemoryLimit::PROGRAM));
         Limits { max_pixels: self.largest.pixels(), memory }
     }
 }
 
-/// The memory limit in bytes: as `given`, or three quarters of the free memory if that is known.
+/// Returns the memory limit in bytes: as `given`, or three quarters of the free memory; `None` if that is not known.
 fn allowed(given: Option<u64>) -> Option<u64> {
     given.or_else(|| Some(memory::free()? / 4 * 3))
 }
@@ -133,7 +149,8 @@ pub struct Aligned {
 
     /// Set the reference frame: its number, from 1, or its file name
     ///
-    /// The others are aligned to it, and the results show its view. The number is the position in the command. By default it is the best exposed frame
+    /// The other frames are aligned to it, and the results show its view. The number is the position in the command. By
+    /// default it is the best exposed frame
     #[arg(long, help_heading = INPUT, value_name = "FRAME")]
     reference: Option<String>,
 
@@ -144,7 +161,7 @@ pub struct Aligned {
     #[arg(long, help_heading = INPUT, hide_short_help = true, value_name = "FILE")]
     leave_out: Vec<PathBuf>,
 
-    /// Merge a photograph without aligning it; may be repeated
+    /// Use a photograph without aligning it; may be repeated
     #[arg(long, help_heading = ALIGNMENT, hide_short_help = true, value_name = "FILE")]
     unmoved: Vec<PathBuf>,
 }
@@ -152,9 +169,10 @@ pub struct Aligned {
 /// The part of the reference frame in the results.
 #[derive(Debug, Args)]
 pub struct Cut {
-    /// Crop the results: common, none, or X,Y,WIDTH,HEIGHT
+    /// Crop the results: common (the area that all frames cover), none, or X,Y,WIDTH,HEIGHT
     ///
-    /// common is the area that all frames cover. X,Y,WIDTH,HEIGHT are in pixels of the reference frame. Each pixel is merged from the frames that cover it
+    /// X,Y,WIDTH,HEIGHT is the part to keep, in pixels of the reference frame, counted from its top left corner. With
+    /// this or none, some pixels may be covered by fewer frames than others
     #[arg(short = 'C', long, help_heading = OUTPUT, default_value_t, value_name = "AREA")]
     pub crop: Crop,
 }
@@ -180,7 +198,7 @@ pub struct Results {
     #[arg(long, help_heading = OUTPUT, value_name = "FILE", value_parser = PathBufValueParser::new().try_map(report_file))]
     report: Option<PathBuf>,
 
-    /// Print the report as JSON to stdout, in place of the names of the files
+    /// Print the report as JSON to stdout, not the names of the files
     #[arg(long, help_heading = OUTPUT)]
     pub json: bool,
 
@@ -192,13 +210,14 @@ pub struct Results {
     pub work: Work,
 }
 
-/// The file of the report. `-` means standard output in other programs, so it is rejected with the right option.
+/// Parses the file of the report. `-` means standard output in other programs, so it is rejected with a message that
+/// names the right option.
 fn report_file(path: PathBuf) -> Result<PathBuf, &'static str> {
     if path.as_os_str() == "-" { Err("give --json for the report on standard output") } else { Ok(path) }
 }
 
 impl Method {
-    /// Returns the library's options for these arguments; options without an argument have their defaults.
+    /// Returns the options of the library for these arguments; options without an argument have their defaults.
     pub fn options(&self) -> Options {
         Options {
             load: LoadOptions { ev: self.ev.clone(), ..LoadOptions::default() },
@@ -214,14 +233,14 @@ impl Method {
 }
 
 impl Work {
-    /// The memory limit. What does not fit is kept in `folder`, or in that of `--scratch`.
+    /// Returns the memory limit. Data that do not fit are kept in the folder of `--scratch`, or else in `folder`.
     pub fn memory(&self, folder: impl FnOnce() -> PathBuf) -> Option<MemoryLimit> {
         Some(MemoryLimit { bytes: allowed(self.max_memory)?, folder: self.scratch.clone().unwrap_or_else(folder) })
     }
 }
 
 impl Aligned {
-    /// The library's options for these arguments and `work`; all others have their defaults.
+    /// Returns the options of the library for these arguments and `work`; all others have their defaults.
     pub fn options(&self, work: &Work) -> Options {
         let options = self.method.options();
         Options {
@@ -238,7 +257,7 @@ impl Aligned {
         }
     }
 
-    /// What the user set for single frames.
+    /// Returns the frames that the user excluded or marked as unmoved.
     fn given(&self) -> Vec<Preset> {
         let all = |paths: &[PathBuf], place: PresetTransform| {
             paths.iter().map(|p| Preset { path: p.clone(), place: place.clone() }).collect::<Vec<_>>()
@@ -246,7 +265,7 @@ impl Aligned {
         [all(&self.leave_out, PresetTransform::Excluded), all(&self.unmoved, PresetTransform::Unmoved)].concat()
     }
 
-    /// The reference frame: a number, unless a photograph has this name.
+    /// Returns the choice of the reference frame. A number is a position, unless it is also the path of a photograph.
     fn reference(&self) -> ReferenceChoice {
         match &self.reference {
             None if self.leave_out.is_empty() => ReferenceChoice::Auto,
@@ -262,12 +281,12 @@ impl Aligned {
 }
 
 impl Results {
-    /// The file for the report.
+    /// Returns the file for the report.
     pub fn report(&self) -> Option<&Path> {
         self.report.as_deref()
     }
 
-    /// The library's options for these arguments; all others have their defaults.
+    /// Returns the options of the library for these arguments and `common`; all others have their defaults.
     pub fn options(&self, common: &Common) -> Options {
         Options {
             crop: self.cut.crop,

@@ -22,25 +22,26 @@ pub struct Merging {
     #[command(flatten)]
     recovery: Recovery,
 
-    /// Set the weighting function over the code values
+    /// Set the weighting function: how much each pixel value counts in the merge
     #[arg(long, hide_short_help = true, value_parser = choice::<Weight>(), default_value_t, value_name = "NAME")]
     weight: Weight,
 
-    /// Remove ghosts: auto, off, or a strength from 0 to 1
+    /// Remove ghosts: auto (default), off, or 0 to 1 as in --deghost=0.8
     ///
-    /// Things that moved are shown as in the reference frame. Strength 0 removes only plain differences, 1 removes all possible ones; auto is 0.5. off
-    /// merges all frames everywhere
+    /// Things that moved are shown as in the reference frame. Strength 0 removes only clear ghosts, 1 also faint ones;
+    /// auto is 0.5. off removes none: all frames are merged everywhere. The = is required
     #[arg(
         long,
         value_name = "STRENGTH",
         num_args = 0..=1,
         require_equals = true,
         default_value_t,
+        hide_default_value = true,
         default_missing_value = "auto"
     )]
     pub deghost: Deghost,
 
-    /// Subtract lens flare (veiling glare), if there is any
+    /// Subtract lens flare, if any is found: the haze that bright areas spread over the picture (veiling glare)
     #[arg(long, hide_short_help = true)]
     flare: bool,
 
@@ -53,26 +54,28 @@ pub struct Merging {
     #[command(flatten)]
     radiance: Radiance,
 
-    /// Scale the radiance to cd/m2, computed from the exposure of the reference frame (about half a stop accurate)
+    /// Scale the radiance to cd/m2, computed from the exposure of the reference frame (accurate to about half a stop)
     ///
-    /// The largest pixel value of the reference frame is then 87 N^2 / (t ISO) cd/m2 (N: f-number, t: exposure time in s)
+    /// The largest pixel value of the reference frame stands for 87 N^2 / (t ISO) cd/m2 (N: f-number, t: exposure time
+    /// in s)
     #[arg(long, hide_short_help = true)]
     absolute: bool,
 
     /// Multiply the radiance by X to get cd/m2
     ///
-    /// With --absolute, X is a measured luminance divided by that in the file, near 1. Without it, X is the luminance in cd/m2 of radiance 1,
-    /// which is what gives the middle pixel value in the reference frame
+    /// With --absolute, X is a measured luminance divided by the luminance in the file, usually about 1. Without
+    /// --absolute, X is the luminance in cd/m2 that the value 1.0 stands for: 1.0 is the middle pixel value of the
+    /// reference frame
     #[arg(long, hide_short_help = true, value_name = "X", allow_negative_numbers = true)]
     calibration_factor: Option<f64>,
 
-    /// Keep the GPS position of the reference frame in the results
+    /// Keep the GPS position of the reference frame in pictures; radiance files never have it
     #[arg(long, help_heading = OUTPUT, hide_short_help = true)]
     keep_gps: bool,
 }
 
 impl Merging {
-    /// `options`, changed by these arguments.
+    /// Returns `options` with the values of these arguments.
     pub fn options(&self, options: Options) -> Result<Options, Error> {
         Ok(Options {
             load: LoadOptions { keep_gps: self.keep_gps, ..options.load },

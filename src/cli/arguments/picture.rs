@@ -15,7 +15,7 @@ pub struct Picture {
     #[arg(long, hide_short_help = true, value_parser = choice::<Depth>(), default_value_t, value_name = "BITS")]
     bit_depth: Depth,
 
-    /// Set the colour space of the picture; its profile is embedded. Colours outside the space are desaturated
+    /// Set the colour space of the picture, which is stored in the file. Colours outside the space are desaturated
     #[arg(long, hide_short_help = true, visible_alias = "picture-color", value_parser = choice::<Colours>(), default_value_t, value_name = "SPACE")]
     picture_colour: Colours,
 
@@ -30,7 +30,7 @@ pub struct Picture {
 }
 
 impl Picture {
-    /// The options of the library.
+    /// Returns the options of the library for these arguments.
     pub fn options(&self) -> picture::Options {
         picture::Options {
             depth: self.bit_depth,

@@ -38,31 +38,32 @@ pub struct Radiance {
     #[arg(long, hide_short_help = true, value_name = "1..100", default_value_t = jpeg::Options::default().quality)]
     jpeg_quality: u8,
 
-    /// Set the size of the gain map in a .jpg. HDR displays use it to restore the radiance
+    /// Set the size of the gain map in a .jpg: extra data from which HDR displays restore the radiance
     #[arg(long, hide_short_help = true, value_parser = choice::<Resolution>(), default_value_t, value_name = "SIZE")]
     gain_map: Resolution,
 }
 
-/// A colour space that radiance is converted to, if any. A type of its own, because clap treats an `Option` as an optional argument.
+/// The colour space that radiance is converted to; `None` for no conversion. It is a separate type, because clap treats
+/// an `Option` as an optional argument.
 #[derive(Debug, Clone)]
 struct Target(Option<Space>);
 
-/// No conversion.
+/// The value of `--colour` for no conversion.
 const KEEP: &str = "keep";
 
 fn spaces() -> Choice<Target> {
-    let keep = (Target(None), KEEP, "That of the photographs, or of the radiance map");
+    let keep = (Target(None), KEEP, "No conversion: the space of the photographs, or of the radiance map");
     let spaces = Space::iter().map(named).map(|(space, name, about)| (Target(Some(space)), name, about));
     [keep].into_iter().chain(spaces).collect()
 }
 
 impl Radiance {
-    /// The space that radiance is converted to, if any.
+    /// Returns the colour space that radiance is converted to; `None` for no conversion.
     pub fn colour(&self) -> Option<Space> {
         self.colour.0
     }
 
-    /// How files are encoded; `overwrite` replaces existing files.
+    /// Returns the encodings of the files; with `overwrite` existing files are replaced.
     pub fn write(&self, overwrite: bool) -> write::Options {
         write::Options {
             overwrite,

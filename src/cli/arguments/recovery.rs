@@ -11,21 +11,21 @@ use hdralign::response::{ResponseModel, mitsunaga_nayar};
 #[derive(Debug, Args)]
 #[command(next_help_heading = MERGE)]
 pub struct Recovery {
-    /// Set the method used to recover the camera response
+    /// Set how the camera response (the curve from light to pixel values) is recovered
     #[arg(long, hide_short_help = true, value_parser = choice::<ResponseModel>(), default_value_t, value_name = "MODEL")]
     response_model: ResponseModel,
 
-    /// Set the degree of the polynomial of mitsunaga-nayar, 1 to 10 [default: the smallest that fits]
+    /// Set the degree of the polynomial of mitsunaga-nayar, 1 to 10; for experts [default: the smallest that fits]
     #[arg(long, hide_short_help = true, value_name = "N")]
     response_degree: Option<usize>,
 
-    /// Set the exposure correction
+    /// Set whether exposures are corrected to match the pixels (to give exposures, use -e)
     #[arg(long, hide_short_help = true, value_parser = choice::<Exposures>(), default_value_t, value_name = "HOW")]
     pub exposures: Exposures,
 }
 
 impl Recovery {
-    /// The model, with the degree given.
+    /// Returns the model of the response, with the given degree if it is a polynomial.
     pub fn model(&self) -> Result<ResponseModel, Error> {
         match (&self.response_model, self.response_degree) {
             (model, None) => Ok(model.clone()),

@@ -10,11 +10,12 @@ use hdralign::tonemap::{Operator, Rendering};
 #[derive(Debug, Args)]
 #[command(next_help_heading = PICTURE)]
 pub struct Tone {
-    /// Set the tone mapping operator
+    /// Set the tone mapping operator: the method that makes the picture
     #[arg(long, value_parser = renderings(), default_value = Rendering::default().name(), value_name = "NAME")]
     tmo: Rendering,
 
-    /// Set a parameter of the operator, for example brightness=0.5; may be repeated. `--tmo-set help` lists all parameters
+    /// Set a parameter of the operator, as in `--tmo durand --tmo-set base=3`; may be repeated. `--tmo-set help` lists
+    /// all parameters
     #[arg(long, hide_short_help = true, value_name = "KEY=VALUE", value_delimiter = ',')]
     tmo_set: Vec<String>,
 }
@@ -27,8 +28,15 @@ fn renderings() -> Choice<Rendering> {
     Rendering::every().into_iter().map(named).collect()
 }
 
+/// Returns a parser for commands that have radiance only: it accepts every rendering, so that [`Tone::operator`] can
+/// explain why fusion is not possible, and lists the operators.
+pub fn operators() -> Choice<Rendering> {
+    renderings().hiding(|rendering| matches!(rendering, Rendering::Fused(_)))
+}
+
 impl Tone {
-    /// The operator with its parameters, for commands that have radiance only.
+    /// Returns the operator with its parameters, for commands that have only radiance; an error for exposure fusion,
+    /// which needs frames.
     pub fn operator(&self) -> Result<Operator, Error> {
         match self.rendering()? {
             Rendering::Toned(operator) => Ok(operator),
@@ -39,14 +47,13 @@ impl Tone {
         }
     }
 
-    /// The rendering with its parameters.
+    /// Returns the operator or fusion method with its parameters.
     pub fn rendering(&self) -> Result<Rendering, Error> {
         let mut rendering = self.tmo.clone();
         for text in &self.tmo_set {
             let refused = |reason: String| Error::Option { option: "--tmo-set", reason };
-            let (key, value) = text
-                .split_once('=')
-                .ok_or_else(|| refused(format!("{text:?} is not KEY=VALUE, as in brightness=0.5")))?;
+            let (key, value) =
+                text.split_once('=').ok_or_else(|| refused(format!("{text:?} is not KEY=VALUE, as in base=3")))?;
             let number = value.trim().parse().map_err(|_| refused(format!("{value:?} in {text:?} is not a number")))?;
             rendering.set(key.trim(), number)?;
         }
@@ -54,17 +61,18 @@ impl Tone {
     }
 }
 
-/// The list of parameters, if the command line asks for it by `--tmo-set help`. No other argument is required then.
+/// Returns the list of the operator's parameters if the command line contains `--tmo-set help`. Required arguments may
+/// be missing then.
 pub fn settings_asked(command: clap::Command) -> Option<String> {
     let matches = command.ignore_errors(true).try_get_matches().ok()?;
     let (_, own) = matches.subcommand()?;
-    // An error if the command has no tone mapping.
+    // This is an error, and the result `None`, if the command has no tone mapping.
     own.try_contains_id("tmo_set").ok()?;
     let mut tone = Tone::from_arg_matches(own).ok()?;
     tone.tmo_set.iter().any(|text| text == "help").then(|| listed(&mut tone.tmo))
 }
 
-/// The parameters of `rendering`, their ranges and defaults.
+/// Returns the parameters of `rendering` with their ranges and defaults, one per line.
 fn listed(rendering: &mut Rendering) -> String {
     let mut text = format!("--tmo {}: --tmo-set KEY=VALUE\n", rendering.name());
     for setting in rendering.settings() {

@@ -38,24 +38,47 @@ is run by --run PLAN --id ID, on any machine; --summarize PLAN combines the resu
 
 Exit codes:
   0  all brackets done
-  1  no bracket done (those done by an earlier run count as done)
+  1  no bracket done, or none found
   2  wrong usage
-  3  some done; with --strict also if a result is degraded
+  3  some done, or a photograph, a folder or the summary could not be read or written;
+     with --strict also if a result is degraded
+Results of earlier runs count like those of this run.
 ";
 
-/// Options that `-h` leaves to `--help`, besides those hidden in every command.
+/// Returns a shared argument with its help for this command.
+fn adapted(arg: clap::Arg) -> clap::Arg {
+    let arg = match arg.get_id().as_str() {
+        "ev" => arg.help("Set the exposures in EV, in the order in which the frames were taken").long_help(
+            "Set the exposures in EV, in the order in which the frames were taken\n\n\
+                 With -e=-2,0,2 the first frame of each bracket is the darkest. Frames without a time are in \
+                 the order of their names. These exposures replace those in EXIF, and are used even if they contradict \
+                 the pixels",
+        ),
+        "force" => arg.help("Merge all brackets again, and replace any existing files"),
+        "threads" => arg.help("Set the number of threads of all brackets [default: one for each core]").long_help(
+            "Set the number of threads of all brackets [default: one for each core]\n\n\
+                 Results do not depend on it",
+        ),
+        _ => arg,
+    };
+    if RARE.contains(&arg.get_id().as_str()) { arg.hide_short_help(true) } else { arg }
+}
+
+/// Options that `-h` does not show for this command, in addition to those that it shows for no command.
 const RARE: [&str; 9] =
     ["align", "crop", "resize", "white_balance", "brightness", "contrast", "saturation", "shadows", "highlights"];
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP, after_long_help = format!("{AFTER_LONG_HELP}\n{AFTER_HELP}"))]
-#[command(mut_args(|arg| { let rare = RARE.contains(&arg.get_id().as_str()); if rare { arg.hide_short_help(true) } else { arg } }))]
+#[command(mut_args(adapted))]
 pub struct Args {
     /// The folders to search, with their subfolders
     #[arg(value_name = "FOLDER", required_unless_present_any = ["run", "summarize", "name"])]
     folders: Vec<PathBuf>,
 
-    /// List the brackets and the photographs that are in none; merge nothing
+    /// List the brackets, and the photographs without a bracket; merge nothing
+    ///
+    /// At most 20 photographs are listed for each reason; --json lists all
     #[arg(long, help_heading = MODE)]
     dry_run: bool,
 
@@ -63,11 +86,11 @@ pub struct Args {
     #[arg(long, help_heading = MODE, conflicts_with = "dry_run")]
     plan: bool,
 
-    /// Run jobs of the file PLAN; choose them with --id
+    /// Run the jobs of the file PLAN that --id selects
     #[arg(long, help_heading = MODE, value_name = "PLAN", requires = "id", conflicts_with_all = ["folders", "plan", "dry_run", "summarize"])]
     run: Option<PathBuf>,
 
-    /// Choose a job for --run; may be repeated
+    /// Select a job for --run, which needs at least one; may be repeated
     #[arg(long, help_heading = MODE, value_name = "ID", requires = "run")]
     id: Vec<String>,
 
@@ -81,7 +104,7 @@ pub struct Args {
     #[command(flatten)]
     acting: Acting,
 
-    /// Read the response from a file: .json, .rsp or .csv
+    /// Read the camera response from a file: .json, .rsp or .csv
     #[arg(long, help_heading = MERGE, value_name = "FILE", conflicts_with_all = ["response_model", "response_degree", "shared_response"])]
     response: Option<PathBuf>,
 
@@ -92,22 +115,22 @@ pub struct Args {
     #[command(flatten)]
     places: Places,
 
-    /// Print the summary as JSON to stdout instead of the files written
+    /// Print the summary as JSON to stdout, not the names of the files
     ///
     /// With --dry-run, print the brackets that were found
     #[arg(long, help_heading = OUTPUT)]
     json: bool,
 
-    /// Also print warnings, and brackets that were already done
+    /// Also print all warnings, and the brackets already done
     #[arg(short, long, help_heading = OUTPUT, conflicts_with = "quiet")]
     verbose: bool,
 
     #[command(flatten)]
     work: Work,
 
-    /// Set the number of brackets merged at a time
+    /// Set the number of brackets merged at the same time
     ///
-    /// By default one for each core, as far as memory allows. Results do not depend on it
+    /// By default as many as threads, if memory allows. Results do not depend on it
     #[arg(long, help_heading = RESOURCES, value_name = "N")]
     jobs: Option<usize>,
 }
@@ -118,7 +141,8 @@ pub struct Args {
 struct Places {
     /// Set the folder for the results [default: beside the photographs]
     ///
-    /// The subfolders of the photographs are made in it
+    /// With `batch night -d out`, results of night/x/IMG_1.jpg go to out/x (x is {folder} in --name); if several folders
+    /// are searched, to out/night/x. out itself is not searched
     #[arg(short = 'd', long = "output-folder", value_name = "FOLDER")]
     output: Option<PathBuf>,
 
@@ -126,11 +150,13 @@ struct Places {
     #[arg(long, value_name = "TEMPLATE", default_value = "{folder}/{first}-{last}")]
     name: String,
 
-    /// Set the formats: exr, hdr, tif, png, jpg
+    /// Set formats: exr, hdr, tif (radiance), png, jpg
+    ///
+    /// exr, hdr and tif contain the radiance, png and jpg the picture. For a .tif with the picture give --pictures tif
     #[arg(long, value_name = "FORMAT,...", value_delimiter = ',', default_value = "exr,png")]
     formats: Vec<String>,
 
-    /// Write the picture also in these formats: tif, png, jpg
+    /// Also write the picture in these formats: tif, png, jpg
     #[arg(long, value_name = "FORMAT,...", value_delimiter = ',')]
     pictures: Vec<String>,
 
@@ -145,7 +171,8 @@ struct Places {
 struct Finding {
     /// Expect exactly N photographs in each bracket
     ///
-    /// Photographs without EXIF are then sorted by name and divided into groups of N
+    /// Photographs without an exposure or a time in EXIF are then used too; those without a time in the order of their
+    /// names. Photographs that are left over are in no bracket
     #[arg(long, value_name = "N")]
     bracket: Option<usize>,
 
@@ -175,7 +202,9 @@ struct Acting {
     #[command(flatten)]
     merging: Merging,
 
-    /// Set which brackets share one unit of radiance
+    /// Set which brackets have the same brightness scale, for stitching
+    ///
+    /// The value 1.0 then stands for the same radiance in all their results
     #[arg(long, help_heading = MERGE, alias = "normalise", value_parser = choice::<Normalisation>(), default_value_t, value_name = "WHAT")]
     normalize: Normalisation,
 
@@ -192,7 +221,7 @@ struct Typed {
 }
 
 impl Acting {
-    /// The library's options for these arguments, without files and limits.
+    /// Returns the options of the library for these arguments, without files and limits.
     fn options(&self) -> Result<Options, Error> {
         let options = self.merging.options(self.method.options())?;
         let reference = self.reference.map_or(ReferenceChoice::Auto, ReferenceChoice::Number);
@@ -200,13 +229,13 @@ impl Acting {
         Ok(Options { load, crop: self.cut.crop, ..options })
     }
 
-    /// The options of `job`.
+    /// Parses the options in `job`.
     fn of(job: &Job) -> Result<Options, Error> {
         let refused = |reason: String| Error::Option { option: "--run", reason: format!("{}: {reason}", job.id) };
         Typed::try_parse_from(&job.options).map_err(|e| refused(e.to_string()))?.acting.options()
     }
 
-    /// The options that the user typed, each as one word.
+    /// Returns the options that the user typed, each as one word: `--name` or `--name=value`.
     fn typed(matches: &ArgMatches) -> Vec<String> {
         let all = <Acting as clap::Args>::augment_args(clap::Command::new("batch"));
         let is_typed = |id: &str| matches.value_source(id) == Some(ValueSource::CommandLine);
@@ -313,7 +342,7 @@ impl Args {
     }
 }
 
-/// `--plan`.
+/// Runs `hdralign batch --plan`: prints the jobs.
 fn print_plan(jobs: &[Job], found: &find::Found, args: &Args) -> Result<ExitCode, Error> {
     let mut lines = Vec::with_capacity(jobs.len());
     for job in jobs {
@@ -329,7 +358,7 @@ fn print_plan(jobs: &[Job], found: &find::Found, args: &Args) -> Result<ExitCode
     Ok(exit_code(Outcome::of(lines.len(), jobs.len())))
 }
 
-/// `--run PLAN --id ID`.
+/// Runs `hdralign batch --run PLAN --id ID`.
 fn jobs(path: &Path, args: &Args, typed: &[String]) -> Result<ExitCode, Error> {
     if let Some(option) = typed.first() {
         let reason = format!("{option} changes the results, so it must be given with --plan");
@@ -362,13 +391,14 @@ fn jobs(path: &Path, args: &Args, typed: &[String]) -> Result<ExitCode, Error> {
     Ok(if args.work.strict && degraded && outcome == Outcome::All { ExitCode::from(3) } else { exit_code(outcome) })
 }
 
-/// The limit on pixels of a photograph of `job`: as given, or else the default, or its planned size if that is larger.
+/// Returns the limit on the pixels of a photograph of `job`: the limit that the user gave, or else the larger of the
+/// default limit and the size in the plan.
 fn largest(job: &Job, work: &Work) -> u64 {
     let planned = (job.width_px as u64).saturating_mul(job.height_px as u64);
     work.largest.given().unwrap_or_else(|| work.largest.pixels().max(planned))
 }
 
-/// `--summarize PLAN`.
+/// Runs `hdralign batch --summarize PLAN`.
 fn summarize(path: &Path, args: &Args) -> Result<ExitCode, Error> {
     let jobs = Job::read_all(path)?;
     let Some(first) = jobs.first() else {
@@ -393,7 +423,7 @@ mod tests {
     use super::*;
     use clap::Args as _;
 
-    /// The words of the plan, and the options.
+    /// Returns the options in a plan, and those of the library, for the command line `words`.
     fn typed(words: &[&str]) -> (Vec<String>, Options) {
         let command = Args::augment_args(clap::Command::new("batch"));
         let matches = command.get_matches_from([&["batch", "in"], words].concat());

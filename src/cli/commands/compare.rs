@@ -11,9 +11,9 @@ use std::process::ExitCode;
 
 const AFTER_HELP: &str = "\
 Exit codes, the same as of cmp and diff:
-  0  same within the tolerance, or blessed
-  1  different
-  2  error: wrong usage, a file that cannot be read, radiance compared with a picture
+  0  same within the tolerance, or accepted with --bless
+  1  different, also in size
+  2  error: wrong usage, a file that cannot be read or written, radiance compared with a picture
 
 Examples:
   hdralign compare golden/room.exr room.exr
@@ -25,7 +25,8 @@ Examples:
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct Args {
-    /// The expected file: .exr, .hdr or .tif (radiance), or .png, .jpg or .tif (picture)
+    /// The expected file: radiance (.exr, .hdr, .tif with floats or LogLuv) or a picture (.png, .jpg, .tif with
+    /// integers)
     #[arg(value_name = "EXPECTED")]
     expected: PathBuf,
 
@@ -37,7 +38,9 @@ pub struct Args {
     #[arg(long, value_name = "STOPS", conflicts_with = "tolerance_de", allow_negative_numbers = true)]
     tolerance_stops: Option<f64>,
 
-    /// Set the largest difference allowed in any pixel of a picture, in CIEDE2000 (1 is just visible) [default: 0]
+    /// Set the largest difference allowed in any pixel of a picture, in CIEDE2000 [default: 0]
+    ///
+    /// A difference of about 1 is just visible side by side. In dark parts, a change of one pixel value can be more than 1
     #[arg(long, value_name = "DE", allow_negative_numbers = true)]
     tolerance_de: Option<f64>,
 
@@ -45,7 +48,8 @@ pub struct Args {
     #[arg(long, value_name = "PERCENT", default_value_t = 0.0, allow_negative_numbers = true)]
     max_differing: f64,
 
-    /// Require at least this PSNR in dB instead of the tolerance: PU21-PSNR of radiance, PSNR of the code values of pictures
+    /// Require at least this PSNR in dB instead of the tolerance: PU21-PSNR of radiance, PSNR of the pixel values of
+    /// pictures
     #[arg(
         long,
         value_name = "DB",
@@ -58,14 +62,14 @@ pub struct Args {
     #[arg(long, value_name = "PNG")]
     diff: Option<PathBuf>,
 
-    /// Accept the result: replace EXPECTED by ACTUAL (without --force) and exit with 0
+    /// Accept the result: replace EXPECTED by ACTUAL, even without --force, and exit with 0
     #[arg(long)]
     bless: bool,
 
     #[command(flatten)]
     reading: Reading,
 
-    /// Replace an existing difference picture
+    /// Replace an existing file of --diff
     #[arg(short, long)]
     force: bool,
 
@@ -73,9 +77,7 @@ pub struct Args {
     #[arg(long)]
     json: bool,
 
-    /// Print no summary or warnings
-    ///
-    /// Errors are still printed, and results are still listed on stdout
+    /// Print only errors and the names of the files written
     #[arg(short, long)]
     quiet: bool,
 }
@@ -143,7 +145,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
     Ok(code)
 }
 
-/// The outcome and the measured differences.
+/// Returns the lines with the outcome and the measured differences.
 fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
     let bytes = if compared.bytes_equal { ", byte for byte" } else { "" };
     let name = if compared.is_same() { "same" } else { "differs" };
@@ -163,7 +165,7 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
         let off = match (largest.stops, largest.de) {
             (Some(stops), _) => format!("{stops:.3} stops"),
             (_, Some(de)) => format!("dE {de:.2}"),
-            _ => "NaN in one of the files".into(),
+            _ => "NaN or infinite in only one of the files".into(),
         };
         let values = |rgb: [Option<f64>; 3]| rgb.map(|v| v.map_or("-".into(), number)).join(" ");
         let (expected, actual) = (values(largest.expected), values(largest.actual));
@@ -177,9 +179,12 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
             row(c.channel, format!("at most {max:.3} stops, RMS {rms:.4}, mean {mean:+.4}"));
         }
         if radiance.not_comparable_pixels > 0 {
-            row("odd", format!("{} pixels are NaN or infinite in one of them", radiance.not_comparable_pixels));
+            row(
+                "odd",
+                format!("{} pixels are NaN or infinite in only one of the files", radiance.not_comparable_pixels),
+            );
         }
-        // The whole difference is a gain.
+        // If mean and RMS difference in stops are almost equal, all pixels differ by the same factor.
         let (mean, rms) = (radiance.mean_stops, radiance.rms_stops);
         if mean.abs() > 0.002 && mean.abs() > 0.97 * rms {
             let word = if mean > 0.0 { "brighter" } else { "darker" };
@@ -188,7 +193,9 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
     }
     if let Some(display) = compared.display.as_ref().filter(|_| is_off) {
         let codes = display.channels.map(|c| c.max_codes.to_string()).join(", ");
-        row("codes", format!("differ by at most {codes} in red, green, blue"));
+        let depth = [&compared.expected, &compared.actual].into_iter().filter_map(|side| side.depth_bits).max();
+        let most = depth.map_or_else(String::new, |bits| format!(" of {}", (1_u64 << bits) - 1));
+        row("codes", format!("differ by at most {codes}{most} in red, green, blue"));
         row("colour", format!("at most dE {:.2}, mean {:.3}", display.de_max, display.de_mean));
         if let Some(psnr) = display.psnr_db {
             row("PSNR", format!("{psnr:.2} dB"));
@@ -205,7 +212,7 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
     for changed in &compared.metadata {
         let words = |text: &Option<String>| text.as_ref().map_or("none".into(), |t| one_line(t));
         let (expected, actual) = (words(&changed.expected), words(&changed.actual));
-        row("header", format!("{}: expected {expected}, actual {actual} (does not count)", changed.key));
+        row("header", format!("{}: expected {expected}, actual {actual} (ignored)", changed.key));
     }
     for warning in &compared.warnings {
         row("warning", warning.clone());
@@ -213,7 +220,7 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
     lines
 }
 
-/// A value with significant digits only.
+/// Returns `value` as text with four or five significant digits.
 fn number(value: f64) -> String {
     if value == 0.0 || value.fract() == 0.0 && value.abs() < 1e5 {
         format!("{value}")
@@ -224,7 +231,7 @@ fn number(value: f64) -> String {
     }
 }
 
-/// A text of a header, printable and shortened.
+/// Returns the start of a header's text on one line, at most 60 characters.
 fn one_line(text: &str) -> String {
     let line: String = text.chars().map(|c| if c.is_control() { ' ' } else { c }).take(60).collect();
     line.trim().to_owned()

@@ -1,7 +1,6 @@
 //! `hdralign completions`.
 
-use crate::cli::Cli;
-use clap::{CommandFactory, ValueEnum};
+use clap::ValueEnum;
 use clap_complete::Shell;
 use hdralign::error::Error;
 use std::process::ExitCode;
@@ -42,7 +41,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
         ShellArg::Powershell => Shell::PowerShell,
     };
     let mut script = Vec::new();
-    clap_complete::generate(shell, &mut Cli::command(), "hdralign", &mut script);
+    clap_complete::generate(shell, &mut crate::cli::program(), "hdralign", &mut script);
     crate::cli::tell(&String::from_utf8_lossy(&script))?;
     Ok(ExitCode::SUCCESS)
 }

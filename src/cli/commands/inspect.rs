@@ -17,7 +17,7 @@ Files, for each photograph NAME:
   NAME.keypoints.svg, .png                 keypoints of the photograph, of its bitmaps, or of both
   NAME.matches.svg, .png                   matches with the reference frame, inliers and outliers
   NAME.xor.svg, .png                       plot of the differing pixels by rotation and shift
-  NAME.edges.svg, .png                     edges of the frame and the reference, before and after alignment
+  NAME.edges.svg, .png                     edges of frame and reference, before and after alignment
 and tables.txt, tables.json with exposures, keypoints, matches, transforms and bitmaps.
 
 Examples:
@@ -34,7 +34,7 @@ pub struct Args {
     #[arg(short = 'd', long, help_heading = OUTPUT, value_name = "FOLDER")]
     folder: Option<PathBuf>,
 
-    /// Print the tables as JSON to stdout instead of the files written
+    /// Print the tables as JSON to stdout, not the names of the files
     #[arg(long, help_heading = OUTPUT)]
     json: bool,
 

@@ -1,8 +1,6 @@
 //! `hdralign man`.
 
-use crate::cli::Cli;
 use crate::cli::process::leftovers;
-use clap::CommandFactory;
 use clap_mangen::Man;
 use hdralign::error::Error;
 use hdralign::write::{self, Target};
@@ -13,23 +11,23 @@ use std::process::ExitCode;
 const AFTER_HELP: &str = "\
 Examples:
   hdralign man | man -l -                       the page of the program
-  hdralign man ~/.local/share/man/man1          one of each command: hdralign.1, hdralign-merge.1, ...";
+  hdralign man ~/.local/share/man/man1          one page for each command: hdralign.1, ...";
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct Args {
-    /// Write the pages of all commands into this folder, which is made where there is none [default: the page of the program, to standard
-    /// output]
+    /// Write the pages of all commands into this folder; it is created if it does not exist. Without it, the page of the
+    /// program is printed to stdout
     #[arg(value_name = "FOLDER")]
     folder: Option<PathBuf>,
 
-    /// Replace pages that exist
+    /// Replace existing pages
     #[arg(short, long)]
     force: bool,
 }
 
 pub fn run(args: &Args) -> Result<ExitCode, Error> {
-    let mut program = Cli::command().disable_help_subcommand(true);
+    let mut program = crate::cli::program().disable_help_subcommand(true);
     program.build();
     let Some(folder) = &args.folder else {
         let page = page(&program).map_err(|source| Error::Write { path: "standard output".into(), source })?;
@@ -43,7 +41,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Writes the pages of `program` and its commands, and gives their names.
+/// Writes the pages of `program` and its commands, and returns their paths.
 fn pages(program: &clap::Command, folder: &Path, overwrite: bool) -> Result<Vec<PathBuf>, Error> {
     let failed = |source| Error::Write { path: folder.to_owned(), source };
     std::fs::create_dir_all(folder).map_err(failed)?;
@@ -56,7 +54,7 @@ fn pages(program: &clap::Command, folder: &Path, overwrite: bool) -> Result<Vec<
     Ok(paths)
 }
 
-/// The page of one command.
+/// Returns the page of one command.
 fn page(command: &clap::Command) -> io::Result<Vec<u8>> {
     let mut page = Vec::new();
     let source = concat!("hdralign ", env!("CARGO_PKG_VERSION"));

@@ -26,16 +26,17 @@ pub struct Args {
     #[command(flatten)]
     common: Common,
 
-    /// Read the response from a file instead of recovering it: .json, .rsp (hdrgen) or .csv (luminance-hdr, pfstools)
+    /// Read the camera response from a file instead of recovering it from the bracket: .json, .rsp (hdrgen) or .csv
+    /// (luminance-hdr, pfstools)
     #[arg(long, help_heading = MERGE, hide_short_help = true, value_name = "FILE", conflicts_with_all = ["response_model", "response_degree"])]
     response: Option<PathBuf>,
 
     #[command(flatten)]
     merging: Merging,
 
-    /// Write a result: .exr .hdr .tif (radiance), .png .jpg (picture)
+    /// Write a result: .exr .hdr .tif (radiance), .png .jpg (picture; .jpg with a gain map for HDR displays)
     ///
-    /// May be repeated. A .jpg shows the radiance on HDR displays (gain map). Without -o and --picture: FIRST-LAST.exr and .png beside the photographs
+    /// May be repeated. Without -o and --picture, FIRST-LAST.exr and FIRST-LAST.png are written beside the photographs
     #[arg(short, long, help_heading = OUTPUT, value_name = "OUT")]
     output: Vec<PathBuf>,
 
@@ -50,11 +51,12 @@ pub struct Args {
     #[arg(long, help_heading = OUTPUT, hide_short_help = true, value_name = "FILE")]
     save_response: Option<PathBuf>,
 
-    /// Write the motion mask, a grey PNG as large as the result: 0 where all frames were merged, 255 where only the reference frame was
+    /// Write the motion mask, a grey PNG as large as the result: black where all frames were merged, white where only the
+    /// reference frame was used
     #[arg(long, help_heading = OUTPUT, hide_short_help = true, value_name = "FILE")]
     ghost_mask: Option<PathBuf>,
 
-    /// Write the aligned frames as TIFF, named PREFIX and the name of the photograph
+    /// Write the aligned frames as TIFF with the bits of the photographs, named PREFIX and the name of the photograph
     #[arg(long, help_heading = OUTPUT, hide_short_help = true, value_name = "PREFIX")]
     save_aligned: Option<PathBuf>,
 }

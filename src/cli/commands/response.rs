@@ -16,7 +16,7 @@ use std::process::ExitCode;
 
 const AFTER_HELP: &str = "\
 Photographs of the same folder are one bracket. A folder stands for its JPEG, PNG and TIFF files.
-Use scenes without motion. More brackets that span more stops give a better response.
+The response is better with several brackets, with a wide range of exposures, and without motion.
 
 Examples:
   hdralign response *.jpg                             write Canon_EOS_5D.json beside the photographs
@@ -24,10 +24,30 @@ Examples:
   hdralign response *.jpg -o 5d.rsp                   write it for hdrgen -r 5d.rsp
   hdralign merge --response 5d.json *.jpg             use it";
 
+/// Returns a shared argument with its help for this command.
+fn adapted(arg: clap::Arg) -> clap::Arg {
+    match arg.get_id().as_str() {
+        "images" => arg.help("Photographs (JPEG, PNG or TIFF) of one or several brackets, or folders of photographs"),
+        "reference" => arg
+            .help("Set the reference frame of each bracket: its number, from 1; for one bracket also its file name")
+            .long_help(
+                "Set the reference frame of each bracket: its number, from 1; for one bracket also its file name\n\n\
+                 The other frames are aligned to it. The number is the position in the command; in a folder, the position \
+                 by name. By default it is the best exposed frame",
+            ),
+        "ev" => arg
+            .help("Set the exposures in EV, one for each photograph, in the order of the command; for one bracket only")
+            .long_help(
+                "Set the exposures in EV, one for each photograph, in the order of the command; for one bracket only\n\n\
+                 With -e=-2,0,2 the first photograph is the darkest. *.jpg or a folder stands for the files in the order of their names. \
+                 These exposures replace those in EXIF, and are used even if they contradict the pixels",
+            ),
+        _ => arg,
+    }
+}
+
 #[derive(Debug, clap::Args)]
-#[command(after_help = AFTER_HELP, mut_arg("images", |images| {
-    images.help("Photographs (JPEG, PNG or TIFF) of one or several brackets, or folders of photographs")
-}))]
+#[command(after_help = AFTER_HELP, mut_args(adapted))]
 pub struct Args {
     #[command(flatten)]
     aligned: Aligned,
@@ -43,7 +63,7 @@ pub struct Args {
     #[arg(long, help_heading = OUTPUT, value_name = "FILE")]
     plot: Vec<PathBuf>,
 
-    /// Print a report as JSON to stdout instead of the files written
+    /// Print a report as JSON to stdout, not the names of the files
     #[arg(long, help_heading = OUTPUT)]
     json: bool,
 
@@ -86,8 +106,7 @@ fn summarise(report: &CameraReport) {
     if let Some(fits) = &report.response.channels {
         for (fit, name) in fits.iter().zip(["red", "green", "blue"]) {
             let (least, most) = fit.codes;
-            words
-                .push(format!("{name} within {:.3} stops from code value {least:.0} to {most:.0}", fit.residual_stops));
+            words.push(format!("{name}: error {:.3} stops (pixel values {least:.0} to {most:.0})", fit.residual_stops));
         }
     }
     words.push(format!("{:.2} s", report.time_s));

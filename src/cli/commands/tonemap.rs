@@ -3,7 +3,7 @@
 use crate::cli::arguments::input::Reading;
 use crate::cli::arguments::picture::Picture;
 use crate::cli::arguments::radiance::Radiance;
-use crate::cli::arguments::tone::Tone;
+use crate::cli::arguments::tone::{self, Tone};
 use crate::cli::heading::{OUTPUT, RESOURCES};
 use crate::cli::process::leftovers;
 use crate::cli::progress::{Bar, Plan};
@@ -16,9 +16,9 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 const AFTER_HELP: &str = "\
-The input may come from any program: .exr (half, float, uint), .hdr (RGBE, XYZE), .tif (float, LogLuv).
-NaN becomes black, infinity the largest finite value, and negative colours are
-desaturated; a warning counts them.
+The input may come from any program: .exr, .hdr, and .tif with floats or LogLuv. Invalid values
+are replaced, with a warning: NaN by black, infinity by the largest finite value, and colours with
+negative components by less saturated ones.
 
 Examples:
   hdralign tonemap room.exr                           write room.png beside it
@@ -26,9 +26,9 @@ Examples:
   hdralign tonemap room.hdr -o room.exr               convert the radiance to another format";
 
 #[derive(Debug, clap::Args)]
-#[command(after_help = AFTER_HELP)]
+#[command(after_help = AFTER_HELP, mut_arg("tmo", |tmo| tmo.value_parser(tone::operators())))]
 pub struct Args {
-    /// The radiance map: .exr, .hdr or .tif
+    /// The radiance map (HDR file): .exr, .hdr or .tif
     #[arg(value_name = "IN")]
     input: PathBuf,
 
@@ -38,9 +38,9 @@ pub struct Args {
     #[command(flatten)]
     encoding: Picture,
 
-    /// Write a result: .png .jpg (picture), .exr .hdr .tif (radiance)
+    /// Write a result: .png .jpg (picture; .jpg with a gain map for HDR displays), .exr .hdr .tif (radiance)
     ///
-    /// May be repeated. A .jpg shows the radiance on HDR displays (gain map). Without -o and --picture: IN with the extension .png
+    /// May be repeated. Without -o and --picture, room.exr gives room.png beside it
     #[arg(short, long, help_heading = OUTPUT, value_name = "OUT")]
     output: Vec<PathBuf>,
 
@@ -52,13 +52,13 @@ pub struct Args {
     #[arg(short, long, help_heading = OUTPUT)]
     force: bool,
 
-    /// Print a report as JSON to stdout instead of the files written
+    /// Print a report as JSON to stdout, not the names of the files
     #[arg(long, help_heading = OUTPUT)]
     json: bool,
 
-    /// Print no progress, summary or warnings
+    /// Print only errors and the names of the files written
     ///
-    /// Errors are still printed, and results are still listed on stdout
+    /// The names go to stdout. Progress is shown on a terminal only, also without this option
     #[arg(short, long, help_heading = OUTPUT)]
     quiet: bool,
 
@@ -98,7 +98,12 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
         summary::warn(&report.warnings, &Terminal::of_stderr());
         let stops = report.radiance.dynamic_range_stops;
         let (width, height, time) = (report.width_px, report.height_px, report.time_s.total);
-        crate::cli::say(format_args!("{width} x {height} pixels, {stops:.1} stops, {time:.2} s"));
+        let picture = options.write.picture.size.of((width, height));
+        let resized = match picture == (width, height) {
+            true => String::new(),
+            false => format!(", picture {} x {}", picture.0, picture.1),
+        };
+        crate::cli::say(format_args!("{width} x {height} pixels{resized}, {stops:.1} stops, {time:.2} s"));
         if let Some(light) = report.white_balance {
             crate::cli::say(format_args!("white is {}", summary::white(light)));
         }

@@ -10,8 +10,9 @@ use clap::ArgMatches;
 #[cfg(unix)]
 const DELAY: (&str, &str) = ("MIMALLOC_PURGE_DELAY", "1");
 
-/// Executes this program again if memory is limited, by `--max-memory` or in a job of a plan, and freed pages would be kept. A delay that is set in the
-/// environment is respected. If the system cannot execute the program again, the run goes on.
+/// Executes this program again with [`DELAY`] in its environment if memory is limited: with `--max-memory`, or for a
+/// job of a plan. Does nothing if the environment sets a delay already, or if the system cannot execute the program
+/// again.
 #[cfg(unix)]
 pub fn give_back_soon(matches: &ArgMatches) {
     use std::env;
@@ -30,10 +31,10 @@ pub fn give_back_soon(matches: &ArgMatches) {
     if let Some(name) = args.next() {
         again.arg0(name);
     }
-    // Returns only on failure.
+    // `exec` returns only on failure.
     let _ = again.args(args).env(name, value).exec();
 }
 
-/// Other systems cannot replace a process.
+/// Does nothing: only Unix can replace the program of a process.
 #[cfg(not(unix))]
 pub fn give_back_soon(_: &ArgMatches) {}

@@ -9,16 +9,17 @@
 use std::fs;
 use std::path::{Component, Path, PathBuf};
 
-/// How one version of control groups names what it has.
+/// The names of files and values in one version of control groups.
 struct Version {
     /// The type of its file system.
     file_system: &'static str,
-    /// Its controller in `/proc/self/cgroup` and in the options of its mount; version 2 has one hierarchy for all.
+    /// The controller of memory in `/proc/self/cgroup` and in the options of its mount; empty for version 2, which has
+    /// one hierarchy for all controllers.
     controller: &'static str,
-    /// Files of limits in bytes; one that is no number is no limit.
+    /// Files that contain a limit in bytes, or a word such as `max` if there is no limit.
     limits: &'static [&'static str],
     usage: &'static str,
-    /// Lines of `memory.stat`: pages that the kernel reclaims before it refuses memory.
+    /// Names of the lines of `memory.stat` for memory that the kernel reclaims before it refuses memory.
     reclaimable: &'static [&'static str],
 }
 
@@ -26,7 +27,7 @@ const VERSIONS: [Version; 2] = [
     Version {
         file_system: "cgroup2",
         controller: "",
-        // Beyond `memory.high` a process is slowed down until it gives memory back.
+        // A process that uses more than `memory.high` is slowed down until it gives memory back.
         limits: &["memory.max", "memory.high"],
         usage: "memory.current",
         reclaimable: &["inactive_file", "active_file", "slab_reclaimable"],
@@ -40,8 +41,8 @@ const VERSIONS: [Version; 2] = [
     },
 ];
 
-/// Bytes that the groups of this process allow beyond what they use: the least of all of them. None where no group has a limit. `root` is the root of
-/// the file system.
+/// Returns the bytes that the groups of this process allow in addition to those in use: the smallest of all groups;
+/// `None` if no group has a limit. `root` is the root of the file system.
 pub fn free(root: &Path) -> Option<u64> {
     let groups = fs::read_to_string(root.join("proc/self/cgroup")).ok()?;
     let mounts = fs::read_to_string(root.join("proc/self/mountinfo")).ok()?;
@@ -64,8 +65,8 @@ impl Version {
         })
     }
 
-    /// Where the hierarchy is mounted, and the folder of `group` in it: the mount itself where the group lies outside of what is mounted, as in a
-    /// container that is shown its host's paths.
+    /// Returns where the hierarchy is mounted, and the folder of `group` in it. This is the mount point itself if the
+    /// group is not in the mounted part, as in a container that sees the paths of its host.
     fn folders(&self, mounts: &str, group: &Path) -> Option<(PathBuf, PathBuf)> {
         let mounted = || mounts.lines().filter_map(|line| self.mount(line));
         let inside = mounted().find_map(|(top, mount)| {
@@ -76,7 +77,7 @@ impl Version {
         inside.or_else(|| mounted().next().map(|(_, mount)| (mount.clone(), mount)))
     }
 
-    /// Of a line of mountinfo that mounts this hierarchy: the group that is mounted, and where.
+    /// Returns the group that `line` of mountinfo mounts, and its mount point; `None` for lines of other file systems.
     fn mount(&self, line: &str) -> Option<(PathBuf, PathBuf)> {
         let (place, what) = line.split_once(" - ")?;
         let mut what = what.split(' ');
@@ -89,8 +90,9 @@ impl Version {
         Some((place.next()?, place.next()?))
     }
 
-    /// Bytes that the group of `folder` allows beyond what it uses; none where it has no limit. Version 1 may have a group count for itself alone: then
-    /// it allows any amount to the groups below it.
+    /// Returns the bytes that the group of `folder` allows in addition to those in use; `None` if it has no limit. In
+    /// version 1 a group may not include the groups below it (`memory.use_hierarchy` is 0), and then does not limit
+    /// them.
     fn free(&self, folder: &Path, is_own: bool) -> Option<u64> {
         let read = |name: &str| fs::read_to_string(folder.join(name)).ok();
         let number = |name: &str| read(name)?.trim().parse::<u64>().ok();
@@ -107,7 +109,7 @@ impl Version {
     }
 }
 
-/// `path` as it is: mountinfo writes white space and backslashes as three octal digits.
+/// Returns `path` without escapes: mountinfo writes white space and backslashes as a backslash and three octal digits.
 fn unescaped(path: &str) -> String {
     [("\\040", " "), ("\\011", "\t"), ("\\012", "\n"), ("\\134", "\\")]
         .iter()
@@ -118,7 +120,7 @@ fn unescaped(path: &str) -> String {
 mod tests {
     use super::*;
 
-    /// A file system of these files.
+    /// Creates a folder with `files`, which serves as the root of a file system.
     fn tree(files: &[(&str, &str)]) -> tempfile::TempDir {
         let root = tempfile::tempdir().unwrap();
         for (path, content) in files {
@@ -158,7 +160,7 @@ mod tests {
             ),
         ];
         assert_eq!(free_in(&files), Some(2_000_000_000 - 159_000_000));
-        // Without its statistics all that is used counts.
+        // Without memory.stat, all used bytes count as not free.
         assert_eq!(free_in(&files[..5]), Some(1_000_000));
     }
 

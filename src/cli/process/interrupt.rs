@@ -16,11 +16,11 @@ static STOP: AtomicBool = AtomicBool::new(false);
 static ASKED: AtomicUsize = AtomicUsize::new(0);
 static IS_ENDING: AtomicBool = AtomicBool::new(false);
 
-/// Whether a file exceeded its size limit; not used, because the write reports the error itself.
+/// Set if a file exceeded its size limit. It is never read, because the write itself fails and reports the error.
 #[cfg(unix)]
 static OUTGREW: AtomicBool = AtomicBool::new(false);
 
-/// Whether an abort is an exit like that of any failure.
+/// Whether an abort becomes an exit with the code of a failure, 1; always true.
 #[cfg(unix)]
 static ABORT_IS_FAILURE: AtomicBool = AtomicBool::new(true);
 
@@ -37,7 +37,8 @@ fn heard(signal: i32) {
     std::process::exit(ENDED_BY + signal);
 }
 
-/// Returns at once, or never if a signal is ending the process: failures caused by that are not reported and do not set the exit code.
+/// Returns at once, or never if a signal is ending the process: failures that the signal caused are not reported and do
+/// not set the exit code.
 pub fn give_way() {
     while IS_ENDING.load(Ordering::SeqCst) {
         std::thread::park();
@@ -51,14 +52,14 @@ pub fn listen() {
     // If the system refuses memory, Rust prints a message and aborts; this changes the exit code to 1, as for other
     // failures.
     let _ = signal_hook::flag::register_conditional_shutdown(SIGABRT, 1, &ABORT_IS_FAILURE);
-    // Handled, the signal does not end the process: the write fails, which is reported as an error of the file.
+    // If SIGXFSZ is handled, it does not end the process: the write fails, which is reported as an error of the file.
     let _ = signal_hook::flag::register(SIGXFSZ, &OUTGREW);
     let of_end = [(SIGINT, "INT"), (SIGTERM, "TERM"), (SIGHUP, "HUP"), (SIGXCPU, "XCPU")];
     let heard_of: Vec<i32> = of_end.iter().filter(|(n, name)| !is_ignored(*n, name)).map(|(n, _)| *n).collect();
     let (registered, is_registered) = std::sync::mpsc::channel();
     let hear = move || {
         let signals = signal_hook::iterator::Signals::new(heard_of);
-        // The waiting thread also continues when this is dropped.
+        // Dropping the sender ends the `recv` below.
         drop(registered);
         if let Ok(mut signals) = signals {
             signals.forever().for_each(heard);
@@ -69,8 +70,9 @@ pub fn listen() {
     }
 }
 
-/// Whether the process was started to ignore `signal`, which has the name `name`. Linux lists those that are; elsewhere a process that this one
-/// starts, and that ignores what this one ignores, is sent it.
+/// Returns whether the process was started to ignore `signal`, which has the name `name`. Linux lists ignored signals
+/// in `/proc/self/status`. On other systems a child process, which ignores the same signals, sends the signal to
+/// itself.
 #[cfg(unix)]
 fn is_ignored(signal: i32, name: &str) -> bool {
     let listed = std::fs::read_to_string("/proc/self/status").ok().and_then(|status| {
@@ -88,15 +90,16 @@ fn is_ignored(signal: i32, name: &str) -> bool {
     }
 }
 
-/// Starts to handle Ctrl-C. If that fails, it has its default effect.
+/// Starts to handle Ctrl-C. If that fails, Ctrl-C has its default effect.
 #[cfg(not(unix))]
 pub fn listen() {
-    /// Ctrl-C's number.
+    /// Number of the signal of Ctrl-C.
     const INTERRUPT: i32 = 2;
     let _ = ctrlc::set_handler(|| heard(INTERRUPT));
 }
 
-/// Set when a batch should start no further job. From now on the first signal sets it.
+/// Returns the flag that is set when a batch should start no further job. After this call, the first signal sets the
+/// flag, and only the second ends the process.
 pub fn stopping() -> &'static AtomicBool {
     IS_BATCH.store(true, Ordering::SeqCst);
     &STOP

@@ -6,7 +6,7 @@ use hdralign::write;
 use std::collections::BTreeSet;
 use std::path::Path;
 
-/// Clears the folders of `targets`.
+/// Removes the temporary files of killed runs from the folders of `targets`.
 pub fn clear<P: AsRef<Path>>(targets: &[P]) {
     let folder = |target: &P| match target.as_ref().parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder.to_owned(),

@@ -4,38 +4,38 @@ use crate::cli::process::cgroup;
 use std::fs;
 use std::path::Path;
 
-/// Bytes of memory that are free for this process, on Linux; `None` on other systems.
+/// Returns the bytes of memory that are free for this process, on Linux; `None` on other systems.
 pub fn free() -> Option<u64> {
     let of_machine = available(&fs::read_to_string("/proc/meminfo").ok()?)?;
     let of_groups = cgroup::free(Path::new("/"));
     let of_process = fs::read_to_string("/proc/self/limits").ok().and_then(|limits| address_space(&limits));
     let taken = || fs::read_to_string("/proc/self/status").ok().and_then(|status| in_kilobytes(&status, "VmSize:"));
-    // Allocators and thread stacks reserve more addresses than they use.
+    // Half of the free addresses, because allocators and thread stacks reserve more addresses than they use.
     let of_process = of_process.map(|most| most.saturating_sub(taken().unwrap_or(0)) / 2);
     [of_groups, of_process].into_iter().flatten().chain([of_machine]).min()
 }
 
-/// The limit of the address space in /proc/self/limits (`ulimit -v`), if any.
+/// Returns the limit of the address space (`ulimit -v`) in bytes from the text of /proc/self/limits, if there is one.
 fn address_space(limits: &str) -> Option<u64> {
     let line = limits.lines().find_map(|line| line.strip_prefix("Max address space"))?;
     line.split_whitespace().next()?.parse().ok()
 }
 
-/// `MemAvailable` of /proc/meminfo, in bytes.
+/// Returns `MemAvailable` in bytes from the text of /proc/meminfo.
 fn available(meminfo: &str) -> Option<u64> {
     in_kilobytes(meminfo, "MemAvailable:")
 }
 
-/// The line `name` of a file of /proc that counts in kB, in bytes.
+/// Returns the bytes in the line `name` of a file of /proc, which gives them in units of 1024 (`kB`).
 fn in_kilobytes(text: &str, name: &str) -> Option<u64> {
     let line = text.lines().find_map(|line| line.strip_prefix(name))?;
     Some(1024 * line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?)
 }
 
-/// Memory of the program without photographs, in bytes: the smallest limit.
+/// Smallest memory limit in bytes: the memory of the program without photographs.
 const LEAST: u64 = 64_000_000;
 
-/// Bytes, as `300000000`, `256MB`, `256MiB` or `1.5GB`.
+/// Parses a number of bytes, such as `300000000`, `256MB`, `256MiB` or `1.5GB`.
 pub fn size(text: &str) -> Result<u64, String> {
     let wrong =
         || format!("{text:?} is not a size; give bytes, or a number and kB, MB, GB, KiB, MiB or GiB, as in `500MB`");
@@ -61,7 +61,7 @@ pub fn size(text: &str) -> Result<u64, String> {
     Ok(bytes as u64)
 }
 
-/// A count, as `500000000`, `500M`, `500MP` or `2G`.
+/// Parses a number of pixels, such as `500000000`, `500M`, `500MP` or `2G`.
 pub fn count(text: &str) -> Result<u64, String> {
     let wrong = || format!("{text:?} is not a number of pixels; give it as `500M`, `1.5G` or `500000000`");
     let end = text.find(|c: char| !(c.is_ascii_digit() || c == '.')).unwrap_or(text.len());

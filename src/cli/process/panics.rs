@@ -1,4 +1,5 @@
-//! Handling of panics. Those of decoders are caught by the library and print nothing; others end the program with a message.
+//! Handling of panics. The library catches panics of decoders, which print nothing; other panics end the program with a
+//! message.
 
 use crate::cli::say;
 use std::backtrace::{Backtrace, BacktraceStatus};
@@ -12,7 +13,8 @@ static LAST: Mutex<String> = Mutex::new(String::new());
 /// The exit code of Rust programs that panic.
 const PANICKED: u8 = 101;
 
-/// Returns the result of `run`. Panics that are caught below print nothing; one that arrives here is reported.
+/// Returns the result of `run`. Panics that are caught inside `run` print nothing; a panic that leaves `run` is
+/// reported.
 pub(crate) fn guarded(run: impl FnOnce() -> ExitCode) -> ExitCode {
     std::panic::set_hook(Box::new(|panic| {
         let trace = Backtrace::capture();

@@ -1,4 +1,4 @@
-//! Curves: the fraction of pixels that differ between two bitmaps, against rotation and shift.
+//! Curves: the fraction of pixels that differ between two bitmaps, plotted over rotation and shift.
 //!
 //! In: [`XorCurves`]. Out: a drawing of three plots with the same scale, with the motion marked in each. Cost: some
 //! hundred numbers. Source: the plot of the XOR count against the angle in the thesis, divided by the number of
@@ -12,16 +12,21 @@ use crate::draw::svg::{Anchor, Area, Colour, Drawing, Path, Pen};
 const CURVE: Colour = Colour(0, 114, 178);
 const FOUND: Colour = Colour(213, 94, 0);
 
-/// A plot and the space for its axes, in pixels.
+/// Width of a plot inside its axes, in pixels.
 const WIDTH: f64 = 400.0;
+/// Height of a plot inside its axes, in pixels.
 const HEIGHT: f64 = 330.0;
+/// Space to the left of the plots for the vertical axis, in pixels.
 const LEFT: f64 = 76.0;
+/// Space below a plot for its horizontal axis, in pixels.
 const BELOW: f64 = 62.0;
+/// Space above a plot for the value of the motion, in pixels.
 const ABOVE: f64 = 30.0;
+/// Distance between plots, in pixels.
 const GAP: f64 = 26.0;
 
-/// Draws `curves`; `placed` is whether they are centred at the motion of the alignment, or at the best match of the
-/// bitmaps.
+/// Draws `curves`. They are centred at the motion of the alignment if `placed`, otherwise at the motion for which the
+/// bitmaps match best.
 pub(in crate::inspect) fn draw(title: &str, curves: &XorCurves, placed: bool) -> Drawing {
     let [dx, dy, angle] = curves.centre.map(|v| v + 0.0);
     let plots = [
@@ -35,8 +40,8 @@ pub(in crate::inspect) fn draw(title: &str, curves: &XorCurves, placed: bool) ->
         Entry { mark: Mark::Patch, colour: FOUND, words: found.into() },
     ];
     let notes = format!(
-        "Unmoved {:.2} % of the pixels that count in both bitmaps differ, under the motion {:.2} %. Each curve varies one number and keeps \
-         the two others. To the nearest pixel of the level.",
+        "Of the pixels that count in both bitmaps, {:.2} % differ without motion and {:.2} % with the motion that is marked. Each curve \
+         varies one parameter and keeps the other two. Positions are rounded to whole pixels of the pyramid level.",
         100.0 * curves.before,
         100.0 * curves.after
     );
@@ -52,7 +57,7 @@ pub(in crate::inspect) fn draw(title: &str, curves: &XorCurves, placed: bool) ->
     page.drawing
 }
 
-/// Draws `curve` against the quantity `name`, with a mark at the motion.
+/// Plots `curve` over the quantity `name`, with a mark at the motion `at`, whose label is `found`.
 fn draw_plot(page: &mut Drawing, area: Area, curve: &Curve, (name, up): (&str, &Axis), (at, found): (f64, &str)) {
     let (Some(first), Some(last)) = (curve.at.first(), curve.at.last()) else { return };
     let plot = Plot { area, x: Axis::within(*first, *last, 6, name), y: up.clone() };

@@ -1,7 +1,7 @@
 //! Edges: their strength at each pixel of a frame, comparable between exposures.
 //!
-//! In: grey values. Out: [`Edges`]. Cost: two passes over the picture. Exposures are made comparable by the logarithm
-//! of the grey values, and by scaling to the strongest edges.
+//! In: grey values. Out: [`Edges`]. Cost: two passes over the picture. Edges of different exposures are comparable,
+//! because they are computed from the logarithm of the grey values and scaled to the strongest edges.
 
 use crate::align::Transform;
 use crate::align::transform::map;
@@ -10,7 +10,7 @@ use crate::plane::Plane;
 use crate::pyramid::gaussian;
 use crate::statistics::of_rank;
 
-/// Returns `small`, a reduced frame, on the grid of the equally reduced reference.
+/// Resamples `small`, a reduced frame, to the grid of the equally reduced reference.
 pub(super) fn laid(small: &Plane<u8>, warp: &Transform, reference: &Frame) -> Grey {
     let (width, height) = (small.width(), small.height());
     let h = warp.matrix(reference.width(), reference.height());
@@ -39,17 +39,17 @@ pub(super) fn laid(small: &Plane<u8>, warp: &Transform, reference: &Frame) -> Gr
     Grey { levels, outside: Some(outside) }
 }
 
-/// A grey picture with a mask of its valid part.
+/// A grey picture with a mask of its invalid pixels; without mask all pixels are valid.
 pub(super) struct Grey {
     pub(super) levels: Plane<u8>,
     pub(super) outside: Option<Plane<bool>>,
 }
 
-/// Added to codes before the logarithm, so that noise near black has no edges.
+/// Added to grey values before the logarithm, so that noise near black has no edges.
 const BLACK: f64 = 8.0;
-/// Smoothing before differentiation, in pixels.
+/// Standard deviation of the smoothing before differentiation, in pixels.
 const SMOOTHING: f64 = 0.8;
-/// The fraction of the pixels whose edges are shown at full strength.
+/// Fraction of the pixels whose edges are shown at full strength.
 const STRONGEST: f64 = 0.02;
 
 /// The strength of edges.
@@ -60,7 +60,7 @@ pub(super) struct Edges {
     pub(super) full: f32,
 }
 
-/// Smoothing and differentiation extend over this many pixels around the invalid part.
+/// Distance in pixels to which smoothing and differentiation spread invalid values.
 const REACH: usize = 3;
 
 impl Grey {
@@ -68,7 +68,8 @@ impl Grey {
         Grey { levels, outside: None }
     }
 
-    /// Returns the edges; full strength is that of the strongest edges of the picture, but at least `least`.
+    /// Returns the edges. The strongest edges of the picture are shown at full strength, but only if their gradient is
+    /// at least `least`.
     pub(super) fn edges(&self, least: f32) -> Edges {
         let (width, height) = (self.levels.width(), self.levels.height());
         let logarithms: [f32; 256] = std::array::from_fn(|v| libm::log(v as f64 + BLACK) as f32);
@@ -79,7 +80,7 @@ impl Grey {
         });
         let smooth = gaussian(&log, SMOOTHING);
         let strength = Plane::from_rows(width, height, |y, row: &mut [f32]| {
-            // Pixels at the border have no neighbours.
+            // Pixels at the border do not have all neighbours; their strength stays 0.
             if y == 0 || y + 1 >= height || width < 3 {
                 return;
             }
@@ -102,7 +103,7 @@ impl Grey {
         Edges { strength, full }
     }
 
-    /// Whether no invalid pixel is near.
+    /// Returns whether no invalid pixel is within [`REACH`] pixels.
     fn is_inside(&self, x: usize, y: usize) -> bool {
         let Some(outside) = &self.outside else { return true };
         let near = |v: usize, n: usize| v.saturating_sub(REACH)..(v + REACH + 1).min(n);
@@ -132,13 +133,14 @@ mod tests {
         let exposure = crate::bracket::exposure::Exposure::given(0.0).unwrap();
         let frame = Frame::new("x".into(), size.0, size.1, samples, exposure);
         let after = laid(&grey, &truth, &frame).edges(LEAST_FULL).strength;
-        // The border of the photograph is not an edge of the scene. With 14 px to the right and 1 deg it is in
-        // columns 343 to 347.
+        // The border of the frame must not count as an edge. Shifted by 14 px and rotated by 1 deg, it is in columns
+        // 343 to 347.
         assert!((0..size.1).all(|y| after.row(y)[345..].iter().all(|v| *v == 0)));
         let after = mean_min(&reference, &after);
         let (before, most) =
             (mean_min(&reference, &Grey::whole(grey).edges(LEAST_FULL).strength), mean_min(&reference, &reference));
-        // What remains is noise, resampling, and a strip of 14 of 360 px that the frame does not cover.
+        // The rest of the difference is due to noise, resampling, and a strip of 14 of 360 px that the frame does not
+        // cover.
         assert!(most - after < 0.5 * (most - before), "{before} {after} {most}");
     }
 

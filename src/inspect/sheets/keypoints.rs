@@ -10,17 +10,17 @@ use crate::align::diagnostics::FrameFeatures;
 use crate::align::features::Keypoint;
 use crate::draw::svg::{Colour, Drawing, Path, Pen};
 
-/// Keypoints that only the photograph has, not the bitmap: light vermilion.
+/// Colour of keypoints that only the photograph has, not the bitmap: light vermilion.
 const PLAIN: Colour = Colour(255, 122, 46);
-/// Keypoints only of the bitmap: sky blue.
+/// Colour of keypoints that only the bitmap has: sky blue.
 const MTB: Colour = Colour(86, 196, 255);
-/// Keypoints of both: yellow.
+/// Colour of keypoints that both have: yellow.
 const BOTH: Colour = Colour(250, 236, 60);
 
-/// Smallest radius, in pixels of the page; a smaller circle would be a dot without direction.
+/// Smallest radius of a circle, in pixels of the page; a smaller circle would look like a dot without direction.
 const LEAST_RADIUS: f64 = 2.5;
 
-/// Returns the keypoints only of the photograph, only of its bitmaps, and of both.
+/// Returns the keypoints that only the photograph has, that only its bitmaps have, and that both have.
 pub(crate) fn layers(features: &FrameFeatures) -> [Vec<Keypoint>; 3] {
     let ([plain, mtb], [in_mtb, in_plain]) = (features.keypoints(), features.found_twice());
     let some = |points: &[Keypoint], twice: &[bool], wanted: bool| {
@@ -69,7 +69,7 @@ pub(in crate::inspect) fn draw(
     page.drawing.clipped(area, |inside| {
         for (colour, points) in [PLAIN, MTB, BOTH].into_iter().zip(&layers) {
             let path = marks(points);
-            // A dark edge, so that the colours are visible on bright parts.
+            // A dark outline makes the colours visible on bright parts.
             inside.stroke(&path, Pen { colour: Colour::INK, width: 2.6, opacity: 0.45 });
             inside.stroke(&path, Pen { colour, width: 1.2, opacity: 1.0 });
         }

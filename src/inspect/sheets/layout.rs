@@ -5,20 +5,22 @@
 use crate::draw::svg::{Anchor, Area, Colour, Drawing, Path, Pen};
 use crate::draw::text;
 
-/// Text sizes, in pixels.
+/// Size of the title, in pixels.
 pub(super) const TITLE: f64 = 22.0;
+/// Size of other text, in pixels.
 pub(super) const TEXT: f64 = 17.0;
 /// Margin around the page, in pixels.
 const MARGIN: f64 = 20.0;
-/// Line spacing.
+/// Distance of lines of text, relative to the text size.
 const LEADING: f64 = 1.45;
-/// Distance between a sample of the legend and its text, and between entries, in pixels.
+/// Distance from the start of a sample of the legend to the start of its text, in pixels.
 const SAMPLE: f64 = 34.0;
+/// Distance between entries of the legend, in pixels.
 const GAP: f64 = 28.0;
-/// Smallest width of a page, for the texts.
+/// Smallest width of a page, in pixels, so that its texts have room.
 const LEAST_WIDTH: f64 = 700.0;
 
-/// Background of samples whose colours are chosen for photographs.
+/// Background of legend samples whose colours are chosen to be visible on photographs.
 const DARK: Colour = Colour(56, 56, 56);
 
 /// An entry of the legend: the meaning of a colour.
@@ -39,7 +41,7 @@ pub(super) enum Mark {
     Patch,
 }
 
-/// A drawing with its texts, and the position of its content.
+/// A drawing with title, legend and notes, and the upper left corner of the space for its content.
 pub(super) struct Page {
     pub(super) drawing: Drawing,
     pub(super) corner: (f64, f64),

@@ -1,6 +1,7 @@
 //! Drawing of the matches: reference and frame side by side, with lines between matching keypoints.
 //!
-//! In: two frames and their matches. Out: a drawing, inliers of the robust fit and outliers in two colours. Cost: some 50 bytes a match.
+//! In: two frames and their matches. Out: a drawing with inliers and outliers of the robust fit in two colours. Cost:
+//! some 50 bytes per match.
 
 use super::layout::{Entry, Mark, Page, TEXT};
 use super::photograph::Photograph;
@@ -10,19 +11,19 @@ use crate::draw::svg::{Anchor, Area, Colour, Drawing, Path, Pen};
 const INLIER: Colour = Colour(86, 196, 255);
 const OUTLIER: Colour = Colour(255, 122, 46);
 
-/// Maximum number of lines; more would hide each other.
+/// Largest number of lines; more lines would hide each other.
 const MOST_LINES: usize = 160;
 /// Distance between the two frames, in pixels.
 const GAP: f64 = 16.0;
-/// Height of the names above the frames.
+/// Height of the names above the frames, in pixels.
 const NAMES: f64 = 26.0;
 
-/// Returns the step between drawn matches for at most [`MOST_LINES`] lines.
+/// Returns the smallest n for which a line for every n-th match gives at most [`MOST_LINES`] lines.
 fn stride(matches: usize) -> usize {
     matches.div_ceil(MOST_LINES).max(1)
 }
 
-/// Draws `matching` between two frames, given with their names, the reference on the left.
+/// Draws `matching` between the reference, on the left, and a frame, on the right; each is given with its name.
 pub(in crate::inspect) fn draw(
     title: &str,
     [reference, frame]: [(&str, &Photograph); 2],
@@ -34,9 +35,10 @@ pub(in crate::inspect) fn draw(
         entry(INLIER, format!("inliers: {inliers}")),
         entry(OUTLIER, format!("outliers: {}", matching.pairs.len() - inliers)),
     ];
-    let mut notes = "Matches of the keypoints of photographs and bitmaps that pass the ratio test and are mutual nearest neighbours; \
-                     inliers: those that agree with the homography."
-        .to_owned();
+    let mut notes =
+        "Matches of keypoints in photographs and bitmaps: mutual nearest neighbours that pass the ratio test. Inliers \
+                     agree with the homography."
+            .to_owned();
     let stride = stride(matching.pairs.len());
     if stride > 1 {
         notes += &format!(" All matches are drawn as dots, one in {stride} also as a line.");
@@ -92,7 +94,8 @@ mod tests {
         let inlier = (0..321).map(|i| i % 2 == 0).collect();
         let matching = Matching { pairs, inlier, transform: Some(Transform::Identity) };
         let svg = draw("t", [("a", &photograph), ("b", &photograph)], &matching).unwrap().to_svg();
-        // Each circle consists of two arcs; lines have an L. Every third match has a line.
+        // In the SVG, a circle is two arcs (`a`) and a line one `L`. Each match has two circles, and every third a
+        // line.
         let count =
             |pen, letter| svg.lines().filter(|l| l.contains(pen)).map(|p| p.matches(letter).count()).sum::<usize>();
         assert_eq!(count("fill-opacity=\"0.9\"", "a1.6 1.6"), 2 * 2 * 321);

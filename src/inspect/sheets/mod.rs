@@ -1,4 +1,4 @@
-//! Sheets: the drawings of an inspection, one file for each kind.
+//! Sheets: the drawings of an inspection (`edges`, `overlay` and `views` are for edges), and that of a response.
 //!
 //! In: the data of an [inspection](super). Out: [drawings](crate::draw::svg), and pictures for a page. Cost: some
 //! tenths of a second per sheet.

@@ -1,4 +1,4 @@
-//! Photographs in a drawing: the grey values of a frame, scaled and bright enough to see.
+//! Photographs in a drawing: the grey values of a frame, scaled, and brightened where it is too dark to see.
 //!
 //! In: grey planes of any size. Out: [`Photograph`]s. Cost: a pass over the plane.
 
@@ -7,26 +7,27 @@ use crate::draw::scale::reduce;
 use crate::draw::svg::{Area, Drawing};
 use crate::plane::Plane;
 
-/// A frame as drawn: in grey, in a range in which coloured marks are visible.
+/// A frame as it is drawn: in grey values on which coloured marks are visible.
 pub(in crate::inspect) struct Photograph {
     /// The grey values as shown.
     pub(in crate::inspect) grey: Plane<u8>,
-    /// Width of the whole frame, in pixels.
+    /// Width and height of the frame, in pixels.
     full: (usize, usize),
     /// Pixels of the page per pixel of `grey`.
     magnified: f64,
-    /// Whether it is shown brighter than it is.
+    /// Whether the frame is shown brighter than it is.
     pub(in crate::inspect) brightened: bool,
 }
 
-/// Range of the shown grey values: marks in full colours are visible on all of them.
+/// Darkest displayed grey value.
 const DARKEST: f64 = 12.0;
+/// Brightest displayed grey value; marks in full colours are visible on it.
 const BRIGHTEST: f64 = 184.0;
-/// The median is shown at least at this fraction of the range.
+/// Fraction of the displayed range to which a darker median is raised, if a moderate power is enough.
 const LEAST_MEDIAN: f64 = 0.25;
 
 impl Photograph {
-    /// Scales `frame` to at most `most` pixels; a small frame is magnified by an integer.
+    /// Scales `frame` to at most `most` pixels in width and height; a small frame is magnified by an integer factor.
     pub(in crate::inspect) fn new(frame: &Plane<u8>, most: (usize, usize)) -> Self {
         let small = reduce(frame, most);
         let fits = (most.0 / small.width()).min(most.1 / small.height()).max(1);
@@ -39,7 +40,7 @@ impl Photograph {
         Photograph { grey, full: (frame.width(), frame.height()), magnified: fits as f64, brightened }
     }
 
-    /// Returns width and height on the page, in pixels.
+    /// Returns the width and height on the page, in pixels.
     pub(in crate::inspect) fn size(&self) -> (f64, f64) {
         (self.grey.width() as f64 * self.magnified, self.grey.height() as f64 * self.magnified)
     }
@@ -49,14 +50,14 @@ impl Photograph {
         self.size().0 / self.full.0 as f64
     }
 
-    /// Returns the position of the frame's pixel (x, y) on a page with the upper left corner of the photograph at
-    /// `corner`.
+    /// Returns the position on the page of the pixel (x, y) of the frame, if the upper left corner of the photograph is
+    /// at `corner`.
     pub(in crate::inspect) fn place(&self, corner: (f64, f64), x: f64, y: f64) -> (f64, f64) {
         let (w, h) = self.size();
         (corner.0 + (x + 0.5) * w / self.full.0 as f64, corner.1 + (y + 0.5) * h / self.full.1 as f64)
     }
 
-    /// Draws it on `page`, and returns its area.
+    /// Draws the photograph on `page` with its upper left corner at `corner`, and returns its area.
     pub(in crate::inspect) fn put(&self, page: &mut Drawing, corner: (f64, f64)) -> Result<Area, String> {
         let (width, height) = self.size();
         let area = Area { x: corner.0, y: corner.1, width, height };
@@ -65,8 +66,8 @@ impl Photograph {
     }
 }
 
-/// Returns the displayed value of each grey value, and whether it is brighter. The brightest few thousandths of the
-/// pixels become white, the median is made visible, and in a dark frame the camera's black level becomes black.
+/// Returns the displayed value of each grey value, and whether the picture is brightened. The brightest 0.2 % of the
+/// pixels become white, a dark median is raised, and in a dark frame the camera's black level becomes black.
 fn shown(grey: &Plane<u8>) -> ([u8; 256], bool) {
     let mut counts = [0usize; 256];
     for &v in grey.as_slice() {

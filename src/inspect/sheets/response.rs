@@ -1,7 +1,8 @@
-//! The response as a plot: stops of exposure against code values.
+//! The response as a plot: stops of exposure over code values.
 //!
-//! In: a [`ResponseCurve`] and the samples from which it was recovered. Out: a drawing; its bytes as SVG or PNG by
-//! extension. Cost: some thousand dots; 0.1 s as PNG. Source: figure 7 of Debevec & Malik 1997, with exchanged axes.
+//! In: a [`ResponseCurve`] and the samples from which it was recovered. Out: a drawing, and its bytes as SVG or PNG, by
+//! the extension of a file. Cost: some thousand dots; 0.1 s as PNG. Source: figure 7 of Debevec & Malik 1997, with
+//! exchanged axes.
 
 use super::layout::{Entry, Mark, Page};
 use crate::draw::plot::{Axis, Plot};
@@ -19,18 +20,22 @@ const CHANNELS: [(Colour, &str); 3] =
     [(Colour(213, 94, 0), "red"), (Colour(0, 158, 115), "green"), (Colour(0, 114, 178), "blue")];
 const SRGB: Colour = Colour(70, 70, 70);
 
-/// The plot and the space for its axes, in pixels.
+/// Width of the plot inside its axes, in pixels.
 const WIDTH: f64 = 860.0;
+/// Height of the plot inside its axes, in pixels.
 const HEIGHT: f64 = 560.0;
+/// Space to the left of the plot for the vertical axis, in pixels.
 const LEFT: f64 = 70.0;
+/// Space below the plot for the horizontal axis, in pixels.
 const BELOW: f64 = 60.0;
+/// Space above the plot, in pixels.
 const ABOVE: f64 = 10.0;
-/// Largest number of drawn places per channel.
+/// Largest number of samples (places of the scene) that are drawn per channel.
 const DOTS: usize = 600;
-/// Lowest exposure that is drawn, in stops below that of code value 128; the exposure of code value 0 is not known.
+/// Lowest exposure that is drawn, in stops below the exposure of code value 128; that of code value 0 is not known.
 const DEEPEST: f64 = 14.0;
 
-/// Draws `curve` with the `samples` from which it was recovered, if any; `title` is the camera.
+/// Draws `curve` with the `samples` from which it was recovered, if any; `title` names the camera.
 pub fn draw(title: &str, curve: &ResponseCurve, samples: &Drawn, notes: &str) -> Drawing {
     let mut legend: Vec<Entry> =
         CHANNELS.iter().map(|&(colour, name)| Entry { mark: Mark::Patch, colour, words: name.into() }).collect();
@@ -41,7 +46,7 @@ pub fn draw(title: &str, curve: &ResponseCurve, samples: &Drawn, notes: &str) ->
     let stops = |ln: f64| ln / LN_2;
     let srgb = ResponseCurve::srgb();
     let lines = (0..3).map(|c| curve.ln_exposure(c)).chain([srgb.ln_exposure(1)]);
-    // From code 1 on, and not below the deepest exposure.
+    // The vertical axis starts at the exposure of code value 1, but not below DEEPEST.
     let (low, high) = lines.fold((f64::MAX, f64::MIN), |(low, high), g| (low.min(g[1]), high.max(g[CODES - 1])));
     let up = Axis::round(stops(low).max(-DEEPEST), stops(high), 10, "exposure, stops relative to code value 128");
     let x = Axis::at(0.0, 255.0, [0, 32, 64, 96, MID, 160, 192, 224, 255], "code value");
@@ -68,15 +73,15 @@ pub fn draw(title: &str, curve: &ResponseCurve, samples: &Drawn, notes: &str) ->
     page.drawing
 }
 
-/// Returns the views of a place: code, and ln of the exposure from its radiance and the exposures of the frames. The
-/// radiance is the one that fits `g` best.
+/// Returns for each frame that shows the place `sample` its code value there and ln of the exposure: the radiance that
+/// fits the response `g` best, times the exposure of the frame.
 fn placed<'a>(sample: &'a Sample, g: &'a [f64; CODES]) -> impl Iterator<Item = (f64, f64)> + 'a {
     let weights = sample.views.iter().map(|v| (hat(v.code) + 1e-6, at(g, v.code) - v.ln_time));
     let (weight, sum) = weights.fold((0.0, 0.0), |(a, b), (w, ln_e)| (a + w, b + w * ln_e));
     sample.views.iter().map(move |v| (v.code, sum / weight + v.ln_time))
 }
 
-/// Encodes a drawing as the content of a file, or returns the reason why not.
+/// A function that encodes a drawing as the content of a file, or returns the reason why this is not possible.
 pub type Encode = fn(&Drawing) -> std::result::Result<Vec<u8>, String>;
 
 /// Returns the encoder for the file `path`, by its extension in upper or lower case.
@@ -123,7 +128,7 @@ mod tests {
         let png = encode(&drawing, FilePath::new("a.PNG")).unwrap();
         let picture = image::load_from_memory(&png).unwrap().to_rgb8();
         assert_eq!((picture.width() as usize, picture.height() as usize), (drawing.width(), drawing.height()));
-        // All three channels are drawn, one over the other: blue is the last.
+        // The curves of the three channels coincide; blue is drawn last, over the others.
         assert!(picture.pixels().filter(|p| p.0[2] > 130 && p.0[0] < 90).count() > 500);
         assert!(encode(&drawing, FilePath::new("a.pdf")).is_err());
     }

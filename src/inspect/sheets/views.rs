@@ -13,31 +13,34 @@ use crate::draw::scale::reduce;
 use crate::draw::svg::{Anchor, Area, Colour, Drawing, Pen};
 use crate::plane::Plane;
 
-/// The two colours add up to white.
+/// Colour of the edges of the reference; it adds up to white with [`FRAME`].
 const REFERENCE: Colour = Colour(255, 140, 0);
+/// Colour of the edges of the frame.
 const FRAME: Colour = Colour(0, 115, 255);
 
 /// Colour of the boxes around the details.
 pub(super) const BOX: Colour = Colour(255, 240, 0);
 
-/// Largest size of one side, in pixels of the page.
+/// Largest width and height of one view (before or after alignment), in pixels of the page.
 const SIDE: (usize, usize) = (780, 780);
-/// Distance between the sides and the details, in pixels.
+/// Distance between the two views, in pixels.
 const GAP: f64 = 16.0;
+/// Distance between a view and its details, and between two details, in pixels.
 pub(super) const DETAIL_GAP: f64 = 8.0;
-/// Height of the texts above each side.
+/// Height of the text above each view, in pixels.
 const NAMES: f64 = 26.0;
-/// Number of details in the row below each of the two views, and the magnification of a detail.
+/// Number of details in the row below each of the two views.
 const DETAILS: usize = 3;
+/// Magnification of a detail.
 pub(super) const MAGNIFIED: usize = 2;
-/// Details this fraction of the diagonal apart are far enough apart.
+/// Distance between details, as a fraction of the diagonal, beyond which a larger distance is no advantage.
 const APART: f64 = 0.35;
-/// Smallest gradient shown at full strength, so that noise is faint in a picture without contrast.
+/// Smallest gradient that is shown at full strength, so that noise is faint in a picture without contrast.
 pub(super) const LEAST_FULL: f32 = 0.05;
-/// The same for a detail, relative to the full strength in the whole picture.
+/// Smallest gradient that a detail shows at full strength, relative to that of the whole picture.
 const FAINT_DETAIL: f32 = 0.6;
 
-/// Two frames, and the transform between them.
+/// The reference and a frame, with the transform between them.
 pub(in crate::inspect) struct Couple<'a> {
     pub(in crate::inspect) reference: &'a Frame,
     pub(in crate::inspect) frame: &'a Frame,
@@ -47,21 +50,21 @@ pub(in crate::inspect) struct Couple<'a> {
     pub(in crate::inspect) warp: Option<Transform>,
 }
 
-/// The edges of a couple.
+/// The edges of a [`Couple`] before and after alignment.
 pub(super) struct Views<'a> {
     couple: &'a Couple<'a>,
     pub(super) reference: Edges,
-    /// The edges of the frame as photographed and, unless it was rejected, as aligned.
+    /// The edges of the frame as photographed and, unless it was rejected, as aligned; each with the transform used.
     pub(super) frame: Vec<(Transform, Edges)>,
     /// Size of the whole picture in pixels of the page.
     pub(super) size: (f64, f64),
-    /// The details.
+    /// The rectangles that are also shown magnified.
     pub(super) details: Vec<Detail>,
 }
 
 impl<'a> Views<'a> {
-    /// Returns the edges of `couple` for pictures of at most `most` pixels; a small picture is magnified by an
-    /// integer if it `may_grow`.
+    /// Returns the edges of `couple` for pictures of at most `most` pixels in width and height. If `may_grow`, a small
+    /// picture is magnified by an integer factor.
     pub(super) fn new(couple: &'a Couple, most: (usize, usize), may_grow: bool) -> Self {
         let whole = reduce(couple.reference_grey, most);
         let times = (most.0 / whole.width()).min(most.1 / whole.height()).max(1);
@@ -77,7 +80,8 @@ impl<'a> Views<'a> {
         Views { couple, reference, frame, size, details }
     }
 
-    /// Returns the strengths of the edges in `detail`: of the reference, and of the frame in the view `k`.
+    /// Returns the strengths of the edges in `detail`: of the reference, and of the frame in view `k` (0 before
+    /// alignment, 1 after).
     pub(super) fn strengths(&self, detail: &Detail, k: usize) -> Result<[Plane<u8>; 2], String> {
         let (warp, view) = &self.frame[k];
         let still = detail.grey(self.couple.reference, &Transform::Identity)?;
@@ -87,7 +91,7 @@ impl<'a> Views<'a> {
     }
 }
 
-/// Draws the edges of the couple.
+/// Draws the edges of the reference and frame in `couple`, before and after alignment.
 pub(in crate::inspect) fn draw(title: &str, couple: &Couple) -> Result<Drawing, String> {
     let views = Views::new(couple, SIDE, true);
     let (size, boxes) = (views.size, &views.details);
@@ -100,7 +104,7 @@ pub(in crate::inspect) fn draw(title: &str, couple: &Couple) -> Result<Drawing, 
     let mut notes =
         "An edge in only one colour: the other frame is clipped or black there, or something moved.".to_owned();
     if !boxes.is_empty() {
-        notes += &format!(" Below: the boxed areas, {MAGNIFIED} px for each pixel of the photograph.");
+        notes += &format!(" Below: the marked areas, enlarged: {MAGNIFIED} px for each pixel of the photograph.");
     }
     if couple.warp.is_none() {
         notes += " The frame could not be aligned, so there is no view after alignment.";
@@ -123,7 +127,7 @@ pub(in crate::inspect) fn draw(title: &str, couple: &Couple) -> Result<Drawing, 
     Ok(page.drawing)
 }
 
-/// A part of the reference, in its pixels.
+/// A rectangle of the reference, in pixels of the reference.
 pub(super) struct Detail {
     pub(super) x: usize,
     pub(super) y: usize,
@@ -157,8 +161,8 @@ impl Detail {
     }
 }
 
-/// Selects places with many edges in both, far from each other, sorted from left to right; none if the photograph is
-/// hardly larger than the details.
+/// Selects [`DETAILS`] places with many edges in both `reference` and `view`, far from each other, sorted from left to
+/// right; none if the photograph is hardly larger than the details.
 fn details(reference: &Plane<u8>, view: &Plane<u8>, size: (f64, f64), couple: &Couple) -> Vec<Detail> {
     let (full_w, full_h) = (couple.reference.width(), couple.reference.height());
     let width = ((size.0 - (DETAILS - 1) as f64 * DETAIL_GAP) / (DETAILS * MAGNIFIED) as f64) as usize;
@@ -176,7 +180,7 @@ fn details(reference: &Plane<u8>, view: &Plane<u8>, size: (f64, f64), couple: &C
     let columns = (0..=across.saturating_sub(w)).step_by((w / 3).max(1));
     let places = columns.flat_map(|x| (0..=down.saturating_sub(h)).step_by((h / 3).max(1)).map(move |y| (x, y)));
     let rated: Vec<(f64, (usize, usize))> = places.map(|(x, y)| (common(x, y) as f64, (x, y))).collect();
-    // Larger distances are no advantage.
+    // A distance above `far` is no further advantage.
     let far = APART * ((across * across + down * down) as f64).sqrt();
     let mut chosen: Vec<(usize, usize)> = Vec::new();
     while chosen.len() < DETAILS {
@@ -185,7 +189,7 @@ fn details(reference: &Plane<u8>, view: &Plane<u8>, size: (f64, f64), couple: &C
             ((dx * dx + dy * dy).sqrt() / far).min(1.0)
         };
         let merit = |(edges, at): (f64, (usize, usize))| chosen.iter().fold(edges, |m, c| m * apart(at, *c));
-        // Of equal places the first.
+        // Of places with equal merit, the first is chosen.
         let best = rated.iter().copied().reduce(|a, b| if merit(b) > merit(a) { b } else { a });
         chosen.push(best.map_or((0, 0), |b| b.1));
     }

@@ -11,33 +11,34 @@ use crate::align::transform::map;
 use crate::bracket::Codes;
 use crate::error::Result;
 
-/// Code values from here on may be clipped, because JPEG changes them a little.
+/// Code values above this may be clipped, because JPEG changes clipped values a little.
 const CLIPPED: f32 = 248.0;
-/// Code values up to this much above black count as black: the camera cut off noise below it, so the mean is too
-/// bright.
+/// Code values up to this much above the black of the response count as black: the camera has cut off the noise below
+/// black, so the mean of dark pixels is too bright.
 const BLACK: f64 = 5.0;
 /// Standard deviation of a code value from rounding, JPEG and the sensor.
 const NOISE: f64 = 1.5;
 
-/// Steps per octave of the noise table of a [`Meaning`]: floats with equal exponent and first three bits.
+/// Right shift from the bits of a radiance to its index in the noise table of a [`Meaning`]: floats with the same
+/// exponent and the same first three bits of the mantissa share an entry, so there are eight entries per octave.
 const SHIFT: u32 = 20;
 
 const OUTSIDE: u8 = 1 << 6;
 
 /// Radiance and noise of the code values of a frame.
 pub struct Meaning {
-    /// Radiance of each code value: exposure over the exposure of the frame.
+    /// Radiance of each code value: its exposure divided by the exposure of the frame.
     radiance: [[f32; CODES]; 3],
-    /// Code value up to which a channel is black.
+    /// Code value up to which a channel counts as black.
     black: [f32; 3],
     /// Upper bound of the radiance of a black cell.
     black_radiance: [f32; 3],
-    /// Relative standard deviation, indexed by exponent and first bits of the radiance.
+    /// Relative standard deviation, indexed by the exponent and the first bits of the radiance, see [`SHIFT`].
     noise: [Vec<f32>; 3],
 }
 
 impl Meaning {
-    /// For a frame with `time` times the exposure of the reference frame.
+    /// Returns the table for a frame with `time` times the exposure of the reference frame.
     pub fn of(curve: &ResponseCurve, time: f64) -> Self {
         let radiance: [[f32; CODES]; 3] =
             std::array::from_fn(|c| curve.exposures(c).map(|x| (f64::from(x) / time) as f32));
@@ -51,7 +52,7 @@ impl Meaning {
     }
 }
 
-/// The relative standard deviation for each step of radiance, from 0 to infinity.
+/// Returns the relative standard deviation for each step of radiance, from 0 to infinity.
 fn noise(radiance: &[f32; CODES]) -> Vec<f32> {
     (0..(f32::INFINITY.to_bits() >> SHIFT))
         .map(|step| {
@@ -68,9 +69,10 @@ fn noise(radiance: &[f32; CODES]) -> Vec<f32> {
 pub struct Cell {
     /// Radiance.
     pub radiance: [f32; 3],
-    /// Bits 0 to 2: a channel is clipped; 3 to 5: it is black; 6: the frame does not cover the cell.
+    /// Bits 0 to 2: the channel is clipped; bits 3 to 5: the channel is black; bit 6: the frame does not cover the
+    /// cell.
     flags: u8,
-    /// Index of the frame among the merged ones.
+    /// Index of the frame among the merged frames.
     frame: u16,
 }
 
@@ -100,14 +102,15 @@ impl Cell {
         self.flags & 7 != 0
     }
 
-    /// The same cell of a locally processed frame: multiplied by `gain`, and unknown where it is clipped. Clipped
-    /// pixels are white whatever the surroundings, so they are no bound after the gain.
+    /// Returns this cell for a locally processed frame: radiance multiplied by `gain`, and outside the frame if a
+    /// channel is clipped. A phone leaves clipped pixels white whatever their surroundings, so after the gain their
+    /// radiance is no bound.
     pub fn with_gain(self, gain: f32) -> Self {
         let outside = if self.clips() { OUTSIDE } else { 0 };
         Cell { radiance: self.radiance.map(|v| v * gain), flags: self.flags | outside, ..self }
     }
 
-    /// The relative standard deviation of a channel.
+    /// Returns the relative standard deviation of a channel.
     #[inline]
     pub fn relative_noise(&self, channel: usize, meanings: &[&Meaning]) -> f32 {
         let step = (self.radiance[channel].to_bits() >> SHIFT) as usize;
@@ -115,7 +118,8 @@ impl Cell {
     }
 }
 
-/// The cells of `region`, each of `side` pixels (even), in `layer`, which is merged frame `number`.
+/// Returns the cells of `region` in `layer`. `side` is the side of a cell in pixels, an even number; `number` is the
+/// index of the frame among the merged frames.
 ///
 /// # Errors
 /// [`Error::Scratch`](crate::error::Error::Scratch) if the frame is on disk and cannot be read.
@@ -138,14 +142,16 @@ pub fn average(layer: &Layer, region: Rect, side: usize, number: u16) -> Result<
     })
 }
 
-/// The blocks of 2x2 pixels of a cell that are read: four in larger cells, alternating from row to row.
+/// Returns the positions of the blocks of 2x2 pixels that are read of a cell: all in cells of up to 4x4 pixels; four in
+/// larger cells, in other columns from row to row.
 fn blocks(side: usize) -> Vec<(usize, usize)> {
     let (half, step) = (side / 2, (side / 4).max(1));
     let rows = (0..half).step_by(step).enumerate();
     rows.flat_map(|(i, b)| (0..half).step_by(step).map(move |a| (2 * (a + i % step), 2 * b))).collect()
 }
 
-/// As [`average`]; `of` returns a code value on the scale 0..=255 and its radiance in a channel.
+/// As [`average`]; `of` returns for a stored code value and a channel the code value on the scale 0..=255, and its
+/// radiance.
 fn averaged<T: Copy + Sync>(
     layer: &Layer,
     codes: &[T],
@@ -164,8 +170,8 @@ fn averaged<T: Copy + Sync>(
     Plane::from_rows(region.width().div_ceil(side), region.height().div_ceil(side), |j, row| {
         for (i, cell) in row.iter_mut().enumerate() {
             let (mut sum, mut flags) = ([0.0f32; 3], 0u8);
-            // Blocks of 2x2 pixels of the reference frame, sampled at the centre: without motion, bilinear
-            // interpolation gives their mean.
+            // Each block of 2x2 pixels of the reference frame is sampled at its centre: without motion, bilinear
+            // interpolation gives the mean of the block.
             for (a, b) in &blocks {
                 let x = ((region.x0 + side * i + a) as f64 + 0.5).min((region.x1 - 1) as f64);
                 let y = ((region.y0 + side * j + b) as f64 + 0.5).min((region.y1 - 1) as f64);

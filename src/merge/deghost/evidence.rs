@@ -1,23 +1,28 @@
-//! Evidence of motion: differences between a frame and the standard beyond errors of noise, response and alignment.
+//! Evidence of motion: differences between a frame and the standard that exceed errors of noise, response and
+//! alignment.
 //!
-//! In: cells of the standard and of a frame. Out: for each cell whether it moved. Cost: some 100 ns per cell, and 100
-//! more where it differs.
+//! In: cells of a frame and of the standard, which it is compared with: the reference frame, and where that is clipped
+//! or black, another frame that agrees with it. Out: for each cell whether it moved. Cost: some 100 ns per cell, and
+//! 100 more where it differs.
 //!
-//! The difference of a cell and channel is divided by its standard deviation, whose square is the sum of
+//! The difference of a cell and channel is divided by its standard deviation, which is the root of the sum of the
+//! squares of
 //!
 //! - the noise of both code values, through the slope of the response;
-//! - a share of the radiance: at least `LEAST`, because response and exposures are not known better, and the spread
-//!   that is [usual](super::usual) in the bracket (the usual bias is divided out first); more where another channel is
-//!   clipped, because it is mixed into this one;
-//! - the same share of the excess of the brightest channel, because cameras and JPEG mix the channels differently at
+//! - a share of the radiance: `LEAST`, because response and exposures are not known better, or, if it is larger, the
+//!   spread that is [usual](super::usual) in the bracket (the usual bias is divided out first). It is `SHIFTED` instead
+//!   of `LEAST` where a channel is clipped, because that channel is mixed into the others. To this is added `LEAST`
+//!   times the excess of the brightest channel over this one, because cameras and JPEG mix the channels differently at
 //!   each exposure;
 //! - the gradient times `ASTRAY` pixels, for errors of alignment and differences of sharpness at edges.
 //!
-//! A bound counts only if it is violated. Differences are averaged over larger and larger cells, and the strongest
-//! scale decides how much a cell differs. A cell that certainly differs has moved if the [structure](super::structure)
-//! differs there too. So has everything connected with it that differs half as much, if the ratio changes all along its
-//! border; and so has a region that differs half as much without such a cell, if its border is long and the ratio
-//! changes half as much all along it.
+//! A clipped or black cell is only a bound of the radiance, and differs only if the bound is violated. Differences are
+//! averaged over larger and larger cells, and the strongest scale decides how much a cell differs. A connected region
+//! of cells that differ by half of what is certain has moved in either of two cases:
+//!
+//! - a cell in it differs certainly, and the [structure](super::structure) differs there too, and the ratio of frame and
+//!   standard changes all along the border of the region;
+//! - its border is long, and the ratio changes half as much as is certain all along the border.
 
 use super::cells::{Cell, Meaning};
 use super::region;
@@ -28,32 +33,33 @@ use crate::pyramid::cells::row_between_cells;
 use crate::simd::log2;
 
 /// Smallest share of the radiance by which frames may differ, and share of the brightest channel that may be mixed into
-/// another: lamp light on wood has sixteen times as much red as blue.
+/// another channel: lamp light on wood has sixteen times as much red as blue, so 6 % of the red equal the blue.
 const LEAST: f32 = 0.06;
-/// The same where a channel is clipped, because the camera has mixed it into the others. Measured on saturated colours
-/// of four cameras.
+/// As [`LEAST`], the smallest share by which frames may differ, but where a channel is clipped: the camera has mixed
+/// the clipped channel into the others. Measured on saturated colours of four cameras.
 const SHIFTED: f32 = 0.25;
-/// Octaves for each share of 1, of small ones.
+/// Factor from a small relative difference to octaves: log2(1 + x) is about x log2(e).
 const OCTAVES: f32 = std::f32::consts::LOG2_E;
 /// Pixels by which an edge may be displaced.
 const ASTRAY: f32 = 1.2;
 /// Differences are limited to this many standard deviations.
 const ENOUGH: f32 = 8.0;
-/// Factor on the mean difference, from the smallest scale to the largest, because means over more cells vary less.
+/// Factor on the mean difference at each scale, from the smallest to the largest, because means over more cells vary
+/// less.
 const SCALES: [f32; 4] = [1.0, 1.2, 1.6, 2.0];
 /// Largest factor by which the mean over four times as many cells may exceed that of a cell: beside a moving object the
-/// larger mean is that of the object.
+/// larger mean includes the object.
 const RAISE: f32 = 2.0;
 
-/// Smallest mean change of the ratio at the border of a motion mask, relative to the limit of certain motion: more than
-/// one standard deviation. On twelve rendered brackets it is 1.3 to 11 at motion, and 0.6 to 1.1 at walls of another
-/// colour and where exposures are wrong.
+/// Smallest mean change of the ratio along the border of a region that moved, relative to the limit of a certain
+/// difference: at the default strength 1.2 standard deviations. On twelve rendered brackets the mean change is 1.3 to
+/// 11 around motion, and 0.6 to 1.1 around walls of another colour and where exposures are wrong.
 const EXPLAINED: f32 = 0.3;
-/// Border cells from which on half the limit is enough: by chance the mean of this many has a spread below a fifth, if
-/// ten neighbours count as one.
+/// Smallest number of border cells of a region that may have moved without a cell that differs certainly. By chance the
+/// mean change over this many cells has a spread below a fifth, if ten neighbours count as one.
 const LONG: usize = 100;
 
-/// A standard and a frame, and their usual ratio.
+/// The standard and a frame, and their usual ratio.
 struct Pair<'a> {
     standard: &'a Plane<Cell>,
     frame: &'a Plane<Cell>,
@@ -62,17 +68,17 @@ struct Pair<'a> {
     usual: Usual,
 }
 
-/// A channel of a cell in both.
+/// One channel of a cell, in the standard and in the frame.
 struct Channel {
-    /// The radiance of the standard, and the frame's without its usual bias.
+    /// The radiance of the standard, and that of the frame without its usual bias.
     radiance: [f32; 2],
-    /// The squares of their relative noise.
+    /// The squares of the relative noise of the standard and of the frame.
     noise: [f32; 2],
-    /// The usual spread of their ratio.
+    /// The usual spread of the ratio of frame to standard.
     spread: f32,
-    /// Radiance of other channels that may be mixed into it.
+    /// Radiance of the brightest channel that may be mixed into this one.
     mixed: f32,
-    /// Whether the value of one is within the bound of the other.
+    /// Whether standard or frame is only a bound of the radiance, and the other is within that bound.
     is_within: bool,
 }
 
@@ -84,7 +90,8 @@ impl Pair<'_> {
         if !s.is_bound(c) && !f.is_bound(c) {
             b /= bias;
         }
-        // Brighter than a clipped standard, darker than a black one; and the other way round for the frame.
+        // A brighter frame is within the bound if the standard is clipped or the frame black; a darker frame if the
+        // standard is black or the frame clipped.
         let is_within = match b > a {
             true => s.is_clipped(c) || f.is_black(c),
             false => s.is_black(c) || f.is_clipped(c),
@@ -94,7 +101,8 @@ impl Pair<'_> {
         Channel { radiance: [a, b], noise: noise.map(|n| n * n), spread, mixed, is_within }
     }
 
-    /// The difference of each cell from the standard, in standard deviations; positive if brighter.
+    /// Returns the difference of each cell from the standard, in standard deviations; positive if the frame is
+    /// brighter.
     fn differences(&self) -> Plane<[f32; 3]> {
         let (width, height) = (self.standard.width(), self.standard.height());
         let astray = (ASTRAY / self.side as f32) * (ASTRAY / self.side as f32);
@@ -122,7 +130,7 @@ impl Pair<'_> {
         })
     }
 
-    /// The log ratios of all cells.
+    /// Returns the log ratios of all cells.
     fn ratios(&self) -> Plane<Ratio> {
         Plane::from_rows(self.standard.width(), self.standard.height(), |y, row: &mut [Ratio]| {
             for ((ratio, s), f) in row.iter_mut().zip(self.standard.row(y)).zip(self.frame.row(y)) {
@@ -130,7 +138,8 @@ impl Pair<'_> {
                     *ratio = Ratio::unknown();
                     continue;
                 }
-                // Of both, and of the edge between what clips and what does not, which is as far off again.
+                // Twice [`SHIFTED`]: once for the ratio itself, and once because at the edge between a clipped cell and
+                // its neighbour the ratio is off by as much again.
                 let least = if s.clips() || f.clips() { 2.0 * SHIFTED } else { 0.0 };
                 for c in 0..3 {
                     let Channel { radiance: [a, b], noise, spread, mixed, is_within } = self.channel(s, f, c);
@@ -144,13 +153,14 @@ impl Pair<'_> {
     }
 }
 
-/// The radiance of the brightest channel.
+/// Returns the radiance of the brightest channel.
 #[inline]
 fn brightest(cell: &Cell) -> f32 {
     cell.radiance.iter().copied().fold(0.0, f32::max)
 }
 
-/// The squares of the gradient at column `x` of the middle one of three rows, per cell: by central differences.
+/// Returns the square of the gradient of each channel, per cell, at column `x` of the middle row: by central
+/// differences.
 #[inline]
 fn steepness([above, row, below]: [&[Cell]; 3], x: usize) -> [f32; 3] {
     let (left, right) = (&row[x.max(1) - 1].radiance, &row[(x + 1).min(row.len() - 1)].radiance);
@@ -161,8 +171,8 @@ fn steepness([above, row, below]: [&[Cell]; 3], x: usize) -> [f32; 3] {
     })
 }
 
-/// The plane filtered by (1, 4, 6, 4, 1) / 16 along both axes, with the border repeated. [`crate::pyramid::binomial`]
-/// filters code values by a table and rounds differently.
+/// Returns the plane filtered by (1, 4, 6, 4, 1) / 16 along both axes, with the border repeated.
+/// [`crate::pyramid::binomial`] filters code values by a table and rounds differently.
 fn binomial(plane: &Plane<[f32; 3]>) -> Plane<[f32; 3]> {
     let (width, height) = (plane.width(), plane.height());
     let near = |i: usize, d: usize, size: usize| (i + d).saturating_sub(2).min(size - 1);
@@ -190,7 +200,8 @@ fn binomial(plane: &Plane<[f32; 3]>) -> Plane<[f32; 3]> {
     smooth
 }
 
-/// Means of 2x2 cells; at an odd border of those that exist ([`crate::pyramid::halve`] drops these).
+/// Returns the means of 2x2 cells; at an odd border, of the cells that exist ([`crate::pyramid::halve`] drops an odd
+/// border).
 fn halved(plane: &Plane<[f32; 3]>) -> Plane<[f32; 3]> {
     let (width, height) = (plane.width(), plane.height());
     Plane::from_rows(width.div_ceil(2), height.div_ceil(2), |y, row| {
@@ -202,8 +213,8 @@ fn halved(plane: &Plane<[f32; 3]>) -> Plane<[f32; 3]> {
     })
 }
 
-/// For each cell, whether `frame` shows something else than `standard`: possibly from the first of the `limits` on, certainly
-/// from the second (in standard deviations).
+/// Returns for each cell whether `frame` shows something else than `standard`. `limits` are two differences in standard
+/// deviations: from the first on a cell may have moved, from the second on it differs certainly.
 pub fn moved(
     standard: &Plane<Cell>,
     frame: &Plane<Cell>,
@@ -238,14 +249,15 @@ pub fn moved(
         let plane = if is_mover { &mut moved } else { &mut rest };
         part.iter().filter(|&&(x, y)| is_mover || differs.at(x, y)).for_each(|&(x, y)| plane.row_mut(y)[x] = true);
     }
-    // Within a wide and faint difference, the certain one by itself: a moving object may be in front of it.
+    // In a region that did not move as a whole, the parts that differ certainly are judged by themselves: a moving
+    // object may be in front of a wide and faint difference.
     for part in region::parts(&rest).into_iter().filter(|part| is_mover(part, &rest)) {
         part.iter().for_each(|&(x, y)| moved.row_mut(y)[x] = true);
     }
     moved
 }
 
-/// The difference of each cell, in standard deviations: over all channels, and the largest of all scales.
+/// Returns the difference of each cell, in standard deviations: over all channels, at the scale where it is largest.
 fn strengths(differences: &Plane<[f32; 3]>) -> Plane<f32> {
     let mut mean = binomial(differences);
     let mut levels = Vec::new();
@@ -264,7 +276,8 @@ fn strengths(differences: &Plane<[f32; 3]>) -> Plane<f32> {
     all.unwrap_or_else(|| Plane::filled(differences.width(), differences.height(), 0.0))
 }
 
-/// The maximum of `finer` and the interpolated `coarse`, which has half the size, but at most [`RAISE`] times `finer`.
+/// Returns the maximum of `finer` and the interpolated `coarse`, which has half the size, but at most [`RAISE`] times
+/// `finer`.
 fn stronger(finer: &Plane<f32>, coarse: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (finer.width(), finer.height());
     Plane::from_rows(width, height, |y, row| {

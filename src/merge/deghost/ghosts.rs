@@ -1,7 +1,7 @@
 //! Motion masks of all frames: for the merge, for `--ghost-mask`, and for the report.
 //!
-//! In: a factor for each cell of each frame. Out: the factor at each pixel; shares and regions. Cost: a few ns per
-//! pixel where something moved.
+//! In: a weight factor for each cell of each frame. Out: the factor at each pixel; shares and regions. Cost: a few ns
+//! per pixel where something moved.
 
 use super::holes::Holes;
 use super::region;
@@ -22,7 +22,8 @@ pub struct Ghosts {
     /// For each merged frame, by rising exposure: its path, and for each cell the weight factor, 0..=1, times 255.
     /// `None` for the reference frame.
     pub(super) frames: Vec<(String, Option<Plane<u8>>)>,
-    /// Radiance continued where the reference frame is clipped and all shorter frames are removed.
+    /// Radiance continued from the surroundings, where the reference frame is clipped and all shorter frames are
+    /// removed.
     pub(super) holes: Option<Holes>,
 }
 
@@ -52,11 +53,11 @@ pub const MOST_REGIONS: usize = 16;
 pub struct GhostRegion {
     /// First column, in pixels of the result.
     pub x_px: usize,
-    /// See `x_px`.
+    /// First row, in pixels of the result.
     pub y_px: usize,
     /// Number of columns.
     pub width_px: usize,
-    /// See `width_px`.
+    /// Number of rows.
     pub height_px: usize,
     /// Share of the result, by cells, that moved in this region.
     pub ghost_fraction: f64,
@@ -65,14 +66,15 @@ pub struct GhostRegion {
 /// The motion in one frame.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct GhostFrame {
-    /// The file, as given.
+    /// Path of the file, as given.
     pub path: String,
     /// Share of the result, by cells, where the frame was removed by more than half.
     pub ghost_fraction: f64,
 }
 
 impl GhostReport {
-    /// Where most of the motion is in a result of `size` pixels, as "at the bottom right". `None` if nothing moved.
+    /// Returns where the largest region of motion is in a result of `size` pixels, as "at the bottom right". `None` if
+    /// nothing moved.
     pub fn place(&self, size: (usize, usize)) -> Option<String> {
         let most = self.regions.first()?;
         let (x, y) = (most.x_px + most.width_px / 2, most.y_px + most.height_px / 2);
@@ -84,10 +86,10 @@ impl GhostReport {
 }
 
 impl Ghosts {
-    /// Checks that the masks are of this region and of these frames, by rising exposure.
+    /// Checks that the masks are of `region` and of `frames`, by rising exposure.
     ///
     /// # Errors
-    /// [`Error::Option`] with what they are of.
+    /// [`Error::Option`], which says what the masks are of, if they are of another region or other frames.
     pub(in crate::merge) fn check(&self, region: Rect, frames: &[&Path]) -> Result<()> {
         let refused = |reason| Err(Error::Option { option: "--deghost", reason });
         if self.region != region {
@@ -105,8 +107,8 @@ impl Ghosts {
         Ok(())
     }
 
-    /// The factors of frame `layer` (of the placed frames, by rising exposure) at `rows` of the region, by rows;
-    /// nothing where they are 1.
+    /// Returns the weight factors of a frame at the pixels of `rows` of the region, row by row; empty if all factors
+    /// are 1. `layer` is the frame's index among the placed frames by rising exposure.
     pub fn kept(&self, layer: usize, rows: Range<usize>) -> Vec<f32> {
         let Some((_, Some(map))) = self.frames.get(layer) else { return Vec::new() };
         let between = |y| between_cells(y, self.side, map.height());
@@ -122,8 +124,8 @@ impl Ghosts {
         kept
     }
 
-    /// Continues radiance in the merged `pixels`, by rows from row `first` of the region on, where the reference clips
-    /// and no frame is left that shows more.
+    /// Replaces radiance in the merged `pixels` by that of the surroundings, where the reference frame clips and no
+    /// frame is left that shows more. `pixels` are whole rows, from row `first` of the region on.
     pub(crate) fn fill(&self, first: usize, pixels: &mut [[f32; 3]]) {
         if let Some(holes) = &self.holes {
             for (y, row) in pixels.chunks_exact_mut(self.region.width()).enumerate() {
@@ -132,8 +134,8 @@ impl Ghosts {
         }
     }
 
-    /// Where and how much was left out, at the size of the region: 0 where all frames take part, 255 where all but the
-    /// reference are left out, in proportion between.
+    /// Returns a mask, at the size of the region, of how much was removed: 0 where all frames are merged, 255 where
+    /// only the reference frame is merged, and in proportion between.
     pub fn mask(&self) -> Plane<u8> {
         let others = self.frames.iter().filter(|(_, map)| map.is_some()).count().max(1) as f32;
         Plane::from_rows(self.region.width(), self.region.height(), |y, row| {
@@ -147,7 +149,7 @@ impl Ghosts {
         })
     }
 
-    /// How much was left out.
+    /// Returns the report: how much of each frame was removed, and where.
     pub fn report(&self) -> GhostReport {
         let maps = || self.frames.iter().filter_map(|(path, map)| Some((path, map.as_ref()?.as_slice())));
         // Half of 255, rounded up.
@@ -167,7 +169,7 @@ impl Ghosts {
             Plane::from_vec(width.div_ceil(self.side), height.div_ceil(self.side), any)
         };
         let mut parts = region::parts(&any);
-        // Of equals that which begins further up.
+        // The sort is stable: of equally large parts, the one that begins further up comes first.
         parts.sort_by_key(|part| std::cmp::Reverse(part.len()));
         let region = |part: &Vec<(usize, usize)>| {
             let range = |of: &dyn Fn(&(usize, usize)) -> usize, size: usize| {
@@ -188,7 +190,7 @@ impl Ghosts {
         }
     }
 
-    /// Whether frame `layer` takes part everywhere.
+    /// Whether frame `layer` has its full weight everywhere.
     pub fn is_whole(&self, layer: usize) -> bool {
         let map = self.frames.get(layer).and_then(|(_, map)| map.as_ref());
         map.is_none_or(|map| map.as_slice().iter().all(|&kept| kept == u8::MAX))

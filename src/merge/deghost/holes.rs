@@ -4,11 +4,11 @@
 //! radiance that continues the surroundings, and its weight. Cost: about 100 ns per cell if there are holes, and 20
 //! ns per pixel in them. Source: pull and push of Gortler et al. 1996, "The Lumigraph", section 3.4.2.
 //!
-//! A clipped reference only gives a lower bound of the radiance. If the shorter frames show a moving object in front
-//! of a bright sky, no frame shows the sky, and the mean would be a grey patch in the shape of the object. The
-//! connected clipped surroundings are about as bright: the logarithm of their radiance is continued into the hole,
-//! from the finest cells that are known, with its colour, which white has lost. The continuation never removes light,
-//! and is used only where the reference is clipped.
+//! A clipped reference only gives a lower bound of the radiance. If the shorter frames show a moving object in front of
+//! a bright sky, no frame shows the sky, and the mean would be a grey patch in the shape of the object. The connected
+//! clipped surroundings are about as bright: the logarithm of their radiance is continued into the hole, from the
+//! nearest known cells, and with it the colour, which clipped pixels have lost. The continuation never makes the
+//! brightest channel darker, and is used only where the reference is clipped.
 
 use super::cells::Cell;
 use super::region;
@@ -23,37 +23,38 @@ use crate::response::ResponseCurve;
 pub(super) struct Holes {
     /// Radiance by cells, for each channel.
     radiance: [Plane<f32>; 3],
-    /// Its weight, times 255.
+    /// Weight of that radiance in each cell, times 255.
     counts: Plane<u8>,
     /// For each channel, the radiance from which on the reference may be clipped, and from which on it is.
     clips: [(f32, f32); 3],
 }
 
-/// What the frames shorter than the reference show.
+/// What the reference and the shorter frames show in one cell.
 #[derive(Debug, Clone, Copy, Default)]
 struct Known {
-    /// Radiance of the first frame with full weight that is not clipped; otherwise of the shortest with full weight,
-    /// which is a lower bound.
+    /// Radiance of the first frame, from the reference towards shorter ones, with full weight that is not clipped. If
+    /// there is none, that of the shortest frame with full weight, which is a lower bound.
     radiance: [f32; 3],
     /// Whether the radiance is exact and not a bound.
     is_sure: bool,
-    /// The shortest frame with full weight that is clipped, by the number of frames from the reference to it.
+    /// Number of frames from the reference to the shortest clipped frame with full weight.
     clipping: u8,
-    /// Whether an unclipped frame has a reduced weight, and the largest such weight, times 255.
+    /// Whether a shorter frame that is not clipped has a reduced weight.
     is_missed: bool,
+    /// Largest weight of a shorter frame that is not clipped, times 255.
     kept: u8,
-    /// Whether any frame has a reduced weight.
+    /// Whether any shorter frame has a reduced weight.
     is_touched: bool,
 }
 
-/// What the frames shorter than the reference show of its clipped parts.
+/// What the frames shorter than the reference show of the clipped parts of the reference.
 pub(super) struct Shorter {
     known: Plane<Known>,
     frames: u8,
 }
 
 impl Shorter {
-    /// Creates it without frames.
+    /// Creates it from the reference, before shorter frames are added.
     pub fn than(reference: &Plane<Cell>) -> Self {
         let of = |cell: &Cell| Known { radiance: cell.radiance, is_sure: !cell.clips(), ..Known::default() };
         let cells = reference.as_slice().iter().map(of).collect();
@@ -96,14 +97,15 @@ impl Shorter {
         });
         let parts = region::parts(&clipped);
         let mut holes: Option<Holes> = None;
-        // Only parts that are clipped in the same frame are examples for a hole.
+        // `clipping` is the shortest frame in which a hole is clipped: only cells that are clipped in that frame too
+        // are examples for the hole.
         for clipping in 0..=self.frames {
             let mut counts = Plane::filled(width, height, 0u8);
             let mut weights = Plane::filled(width, height, 0.0f32);
             for part in &parts {
                 let is_of = |&&(x, y): &&(usize, usize)| is_hole((x, y)) && known.at(x, y).clipping == clipping;
                 let is_example = |&&(x, y): &&(usize, usize)| is_source((x, y)) && known.at(x, y).clipping >= clipping;
-                // Bright parts elsewhere are not examples for this part.
+                // A part that has no hole gives no examples: its light may be brighter.
                 if part.iter().any(|at| is_of(&at)) && part.iter().any(|at| is_example(&at)) {
                     part.iter().filter(is_example).for_each(|&(x, y)| weights.row_mut(y)[x] = 1.0);
                     part.iter().filter(is_of).for_each(|&(x, y)| counts.row_mut(y)[x] = u8::MAX - known.at(x, y).kept);
@@ -122,7 +124,7 @@ impl Shorter {
         holes.map(|holes| Holes { clips, ..holes })
     }
 
-    /// Returns the radiance of channel `c`, continued from the cells with `weights`.
+    /// Returns the radiance of channel `c`: that of the cells with `weights` of 1, continued into the other cells.
     fn continued(&self, c: usize, weights: &Plane<f32>) -> Plane<f32> {
         let stops = Plane::from_rows(weights.width(), weights.height(), |y, row: &mut [f32]| {
             for ((v, known), weight) in row.iter_mut().zip(self.known.row(y)).zip(weights.row(y)) {
@@ -136,7 +138,7 @@ impl Shorter {
 }
 
 impl Holes {
-    /// Combines these with `more`, which are in other cells.
+    /// Combines these holes with `more`, which are in other cells.
     fn with(mut self, more: Holes) -> Holes {
         for (plane, more_of) in self.radiance.iter_mut().zip(&more.radiance) {
             let cells = plane.as_mut_slice().iter_mut().zip(more_of.as_slice()).zip(more.counts.as_slice());
@@ -168,10 +170,11 @@ impl Holes {
                 ((pixel[c] - begins) / (sure - begins)).clamp(0.0, 1.0)
             });
             let white = clipped.into_iter().fold(1.0, f32::min);
-            // A channel that is not clipped limits the brightness here.
+            // A channel that is not clipped limits how much of the continued radiance is used.
             let shown = |c: usize| 1.0 - (1.0 - clipped[c]) * (1.0 - pixel[c] / more[c].max(FLOOR)).max(0.0);
             let shown = shown(0).min(shown(1)).min(shown(2));
-            // White in all channels has lost its colour, but is a lower bound of the light.
+            // A pixel that is white in all channels has lost its colour, but is a lower bound of the radiance: `scale`
+            // keeps its brightest channel.
             let most = |of: [f32; 3]| of.into_iter().fold(FLOOR, f32::max);
             let scale = (most(*pixel) / most(more)).max(1.0);
             for c in 0..3 {
@@ -190,8 +193,8 @@ fn row<T: Copy>(cells: &Plane<T>, side: usize, value: impl Fn(T) -> f32, y: usiz
     row
 }
 
-/// Returns `values` where `weights` (0..=1) are 1, elsewhere the mean of the smallest neighbourhood with known values. 0
-/// if nothing is known.
+/// Returns `values` where `weights` (0..=1) are 1, elsewhere the mean of the smallest neighbourhood with known values.
+/// Without any known value it returns 0.
 fn continued(values: &Plane<f32>, weights: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (values.width(), values.height());
     if width * height <= 1 {
@@ -234,7 +237,8 @@ mod tests {
         });
         let all = continued(&ramp, &weights);
         assert!((0..20).chain(40..64).all(|x| all.at(x, 30) == ramp.at(x, 30)));
-        // From 2 to 4 across the gap of 20 cells, by means over at most 32.
+        // The ramp rises from 2 to 4 across the gap of 20 cells. The gap is filled with means over at most 32 cells, so
+        // the ramp is followed only roughly.
         assert!((20..40).all(|x| (all.at(x, 30) - 0.1 * x as f32).abs() < 0.8), "{:?}", all.row(30));
         assert!((20..40).all(|x| all.at(x, 30) >= all.at(x - 1, 30) - 0.15), "{:?}", all.row(30));
     }

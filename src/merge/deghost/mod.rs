@@ -2,28 +2,28 @@
 //!
 //! In: a bracket, its alignment and the response. Out: [`Ghosts`], for each frame and pixel the share to which it is
 //! merged. Cost: some 200 ns of one core for each cell of each frame, and 200 more if something differs: 4 ns per pixel
-//! of 12 MP. 156 bytes for each of at most 262,144 cells (more beyond 16 MP), for any number of frames, plus one byte
-//! for each cell of each frame, two for shorter frames. Source: comparing each frame with the reference frame in units
-//! of noise is from Ward's hdrgen (option `-g`); the noise model, the chain of standards, the scales and the edge
-//! criterion are ours.
+//! of 12 MP. Memory: 156 bytes for each of at most 262,144 cells (more beyond 16 MP), for any number of frames, plus
+//! one byte for each cell of each frame, two for shorter frames. Source: comparing each frame with the reference frame
+//! in units of noise is from Ward's hdrgen (option `-g`); the noise model, the chain of standards, the scales and the
+//! edge criterion are ours.
 //!
 //! 1. Every frame is averaged to radiance over cells of 2x2 pixels (4x4 and 8x8 in large pictures): `cells`.
 //! 2. Frame by frame, from the reference towards the shorter and towards the longer exposures, the cells are compared
-//!    with a standard: the reference frame, and where that is clipped or black, the nearest frame that agrees with it.
-//!    A clipped or black code value is only a bound. Differences that are `usual` between the two in the whole picture
-//!    are not motion.
+//!    with a standard: the reference frame, and where that is clipped, black or noisy, the nearest frame that agrees
+//!    with it. A clipped or black code value is only a bound. Differences that are `usual` between the two in the whole
+//!    picture are not motion.
 //! 3. The differences, in units of their standard deviation and with their signs, are averaged over larger and larger
 //!    cells: errors of alignment, noise and JPEG cancel, motion adds up. The strongest scale decides, for all three
 //!    channels together: `evidence`.
-//! 4. A difference is motion if only one of the two has an edge there: `structure`. A connected region that differs and
-//!    has such an edge all around is removed completely, with a soft border: `region`. A bracket without motion gives
-//!    the same bytes as without deghosting.
+//! 4. A difference is motion if only one of standard and frame has an edge there: `structure`. A connected region that
+//!    differs and has such an edge all around is removed completely, with a soft border: `region`. A bracket without
+//!    motion gives the same bytes as without deghosting.
 //! 5. Where something moved, shorter frames that are black are removed too, because they agree with anything.
 //! 6. Where the reference frame is clipped and the shorter frames are removed, radiance is continued from the
 //!    surroundings: `holes`.
 //!
-//! On five rendered brackets with motion, hdrgen's e^2 / (e^2 + d^2) with e = 0.08 instead has a PU21-PSNR 2 to 20 dB
-//! lower than no deghosting, because it treats noise as motion.
+//! On five rendered brackets with motion, hdrgen's weight e^2 / (e^2 + d^2) with e = 0.08 instead has a PU21-PSNR 2 to
+//! 20 dB lower than no deghosting, because it treats noise as motion.
 
 pub(super) mod cells;
 mod evidence;
@@ -56,7 +56,7 @@ const LARGEST: usize = 8;
 const GAP: usize = 3;
 /// Margin around a motion mask, in cells, where edges are mixed with the background.
 const MARGIN: usize = 2;
-/// Cells around a motion mask that are mixed with its edge.
+/// Width, in cells, of the zone around a motion mask that is mixed with the mask's edge.
 const EDGE: usize = 1;
 /// Width of the soft border, in cells.
 const FADE: usize = 2;
@@ -78,7 +78,7 @@ pub enum Deghost {
 pub const AUTO: f64 = 0.5;
 
 impl Deghost {
-    /// The strength, or `None` if deghosting is off.
+    /// Returns the strength, or `None` if deghosting is off.
     pub fn strength(self) -> Option<f64> {
         match self {
             Deghost::Auto => Some(AUTO),
@@ -92,7 +92,7 @@ impl Deghost {
         self != Deghost::Off
     }
 
-    /// Whether the strength is within its range.
+    /// Checks that the strength is within 0..=1.
     ///
     /// # Errors
     /// [`Error::Option`].
@@ -129,7 +129,8 @@ impl fmt::Display for Deghost {
     }
 }
 
-/// The standard deviations from which a cell may have moved, and from which it certainly has.
+/// Returns the numbers of standard deviations from which on a cell may have moved, and from which on it differs
+/// certainly.
 fn limits(strength: f64) -> (f32, f32) {
     let scale = libm::exp2(1.0 - 2.0 * strength) as f32;
     (2.0 * scale, 4.0 * scale)
@@ -140,11 +141,12 @@ pub(super) struct Layer<'a> {
     pub(super) frame: &'a Frame,
     warp: Transform,
     pub(super) meaning: Meaning,
-    /// Whether its transform is [assumed](Placement::Assumed): it shows what no other does, so it is not compared.
+    /// Whether the frame's transform is [assumed](Placement::Assumed): the frame shows what no other does, so it is not
+    /// compared.
     is_assumed: bool,
 }
 
-/// The merged frames of `bracket` by rising exposure, and the index of the reference frame among them.
+/// Returns the merged frames of `bracket` by rising exposure, and the index of the reference frame among them.
 pub(super) fn layers<'a>(
     bracket: &'a Bracket,
     alignment: &Alignment,
@@ -161,11 +163,12 @@ pub(super) fn layers<'a>(
     (alignment.placed(bracket).map(layer).collect(), reference.unwrap_or_default())
 }
 
-/// Factor on the radiance of frame i (of the merged ones, by rising exposure) at rows of the region; empty if 1.
+/// Function from the index of a merged frame, by rising exposure, and rows of the region to the factors on the frame's
+/// radiance there, row by row; empty if the factors are 1.
 pub type Gain<'a> = &'a (dyn Fn(usize, Range<usize>) -> Vec<f32> + Sync);
 
 /// Finds where in `region` each frame shows something else than the reference frame. Locally processed frames are
-/// compared with their `gain`, where they are not clipped.
+/// multiplied by their `gain` before they are compared, and only unclipped cells of them are compared.
 ///
 /// # Errors
 /// [`Error::Option`] if the strength is out of range; [`Error::Scratch`].
@@ -220,8 +223,8 @@ pub fn find(
     Ok(Ghosts { region, side, strength, frames, holes: shorter.holes(&shown, curve) })
 }
 
-/// Where a shorter `frame` is black in all channels and the `reference` is not clipped: the frame agrees with anything
-/// there.
+/// Returns where a shorter `frame` is black in all channels and the `reference` is not clipped: the frame agrees with
+/// anything there.
 fn underexposed(frame: &Plane<Cell>, reference: &Plane<Cell>) -> Plane<bool> {
     Plane::from_rows(frame.width(), frame.height(), |y, row| {
         for ((is, f), s) in row.iter_mut().zip(frame.row(y)).zip(reference.row(y)) {
@@ -230,8 +233,8 @@ fn underexposed(frame: &Plane<Cell>, reference: &Plane<Cell>) -> Plane<bool> {
     })
 }
 
-/// Removes frames where they are `black`, to the same share as any other frame is removed. Otherwise a wall that is
-/// black in a short frame would be merged with a person in front of it in another frame.
+/// Reduces the weight of frames where they are `black` to the smallest weight that any frame has there. Otherwise a
+/// wall that is black in a short frame would be merged with a person in front of it in another frame.
 fn leave_out_underexposed(frames: &mut [(String, Option<Plane<u8>>)], black: &[(usize, Plane<bool>)]) {
     let Some((_, first)) = black.first() else { return };
     let mut least = vec![u8::MAX; first.as_slice().len()];
@@ -246,9 +249,9 @@ fn leave_out_underexposed(frames: &mut [(String, Option<Plane<u8>>)], black: &[(
     }
 }
 
-/// Keeps a shorter frame beside what `moved` in it, where the reference frame is white and the frame shows as much
-/// radiance: otherwise a white spot would remain. Where it shows less, as in the soft edge of a moving object, radiance
-/// is [continued](holes).
+/// Gives a shorter frame its full weight beside what `moved` in it, where the reference frame is white and the shorter
+/// frame shows at least as much radiance: otherwise a white spot would remain. Where the shorter frame shows less, as
+/// in the soft edge of a moving object, radiance is [continued](holes).
 fn keep_beside(kept: &mut Plane<u8>, moved: &Plane<bool>, (frame, reference): (&Plane<Cell>, &Plane<Cell>)) {
     kept.fill_rows(|y, row| {
         let cells = frame.row(y).iter().zip(reference.row(y));
@@ -261,7 +264,7 @@ fn keep_beside(kept: &mut Plane<u8>, moved: &Plane<bool>, (frame, reference): (&
     });
 }
 
-/// The side of a cell in pixels.
+/// Returns the side of a cell in pixels.
 fn side(region: Rect) -> usize {
     let cells = |side: usize| region.width().div_ceil(side) * region.height().div_ceil(side);
     let mut side = 2;
@@ -271,14 +274,15 @@ fn side(region: Rect) -> usize {
     side
 }
 
-/// Replaces the standard by a frame that agrees with it, where the standard is only a bound or has little weight.
+/// Replaces the standard, in cells where `frame` did not move, by `frame` if the standard is missing, only a bound of
+/// the radiance, or much noisier.
 fn take_over(standard: &mut Plane<Cell>, frame: &Plane<Cell>, moved: &Plane<bool>, meanings: &[&Meaning]) {
     standard.fill_rows(|y, row| {
         for ((s, f), moved) in row.iter_mut().zip(frame.row(y)).zip(moved.row(y)) {
             if *moved || f.is_outside() {
                 continue;
             }
-            // The bounds of all channels are used or of none, so that the standard is from one frame.
+            // All channels of a cell are replaced or none, so that the standard of a cell is from one frame.
             let gain = |c: usize| match (s.is_bound(c), f.is_bound(c)) {
                 (true, false) => 1,
                 (false, true) => -1,

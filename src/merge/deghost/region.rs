@@ -1,7 +1,7 @@
 //! Regions: from the evidence of single cells to the removed parts of a frame.
 //!
-//! In: for each cell whether it differs, or moved. Out: yes or no for each cell; a weight that rises around it. Cost:
-//! about 10 ns per cell.
+//! In: for each cell whether it differs, or moved. Out: the connected parts; masks without gaps; a weight that rises
+//! around a mask. Cost: about 10 ns per cell.
 //!
 //! Connected parts that differ and moved are removed completely: the middle of a moving object may look like its
 //! background, and a tenth of a long exposure's weight may still be ten times that of the reference.
@@ -16,8 +16,8 @@ pub fn parts(plane: &Plane<bool>) -> Vec<Vec<(usize, usize)>> {
     all.map(|at| taken(&mut left, at)).filter(|part| !part.is_empty()).collect()
 }
 
-/// Removes the connected part that contains `at` from `left` and returns it; it is empty if there is none. Cells are
-/// connected by sides and corners.
+/// Removes the connected part that contains `at` from `left` and returns it; it is empty if `at` is false in `left`.
+/// Cells are connected by sides and corners.
 fn taken(left: &mut Plane<bool>, at: (usize, usize)) -> Vec<(usize, usize)> {
     let (width, height) = (left.width(), left.height());
     let mut part = Vec::new();
@@ -44,12 +44,12 @@ pub fn is_border(plane: &Plane<bool>, (x, y): (usize, usize)) -> bool {
     !(is_inside && plane.at(x - 1, y) && plane.at(x + 1, y) && plane.at(x, y - 1) && plane.at(x, y + 1))
 }
 
-/// Returns the true cells and those within `reach` cells of one, horizontally and vertically.
+/// Returns the true cells of `plane`, and the cells within `reach` cells of a true one, horizontally and vertically.
 pub fn grown_by(plane: &Plane<bool>, reach: usize) -> Plane<bool> {
     gathered(plane, reach, |is, near| *is |= near)
 }
 
-/// Closes gaps that are less than 2 `reach` cells wide.
+/// Closes gaps that are at most 2 `reach` cells wide.
 pub fn closed(plane: &Plane<bool>, reach: usize) -> Plane<bool> {
     let not = |mut plane: Plane<bool>| {
         plane.as_mut_slice().iter_mut().for_each(|is| *is = !*is);
@@ -58,8 +58,8 @@ pub fn closed(plane: &Plane<bool>, reach: usize) -> Plane<bool> {
     not(grown_by(&not(grown_by(plane, reach)), reach))
 }
 
-/// Returns the weight of a frame, times 255: 0 within `reach` cells of true ones, rising over the next `2 fade`
-/// cells.
+/// Returns the weight of a frame, times 255: 0 within `reach` cells of the true cells of `plane`, rising over the next
+/// `2 fade` cells.
 pub fn kept(plane: &Plane<bool>, reach: usize, fade: usize) -> Plane<u8> {
     let (width, height) = (plane.width(), plane.height());
     // The mean extends `fade` cells to both sides of the border, so the weight is 0 within `reach`.
@@ -79,7 +79,7 @@ pub fn kept(plane: &Plane<bool>, reach: usize, fade: usize) -> Plane<u8> {
 mod tests {
     use super::*;
 
-    /// '#' is true.
+    /// Returns the plane in which '#' is true.
     fn plane(rows: &[&str]) -> Plane<bool> {
         let cells = rows.iter().flat_map(|row| row.bytes().map(|b| b == b'#')).collect();
         Plane::from_vec(rows[0].len(), rows.len(), cells)
@@ -110,7 +110,7 @@ mod tests {
         plane.row_mut(15)[20] = true;
         let kept = kept(&plane, 2, 2);
         assert!((18..=22).all(|x| kept.at(x, 15) == 0), "{:?}", kept.row(15));
-        // A fifth more with each cell.
+        // The weight rises by a fifth with each cell.
         assert_eq!(&kept.row(15)[22..28], [0, 51, 102, 153, 204, 255]);
         let all = super::kept(&Plane::filled(9, 9, true), 2, 2);
         assert!(all.as_slice().iter().all(|&v| v == 0));

@@ -1,27 +1,27 @@
-//! Structure: edges of a frame that the standard does not have, or the other way round.
+//! Structure: edges that only the frame has, or only the standard, which the frame is compared with.
 //!
 //! In: for each cell the standard's log radiance, and the frame's difference from it. Out: for each cell the
 //! significance of motion, in standard deviations. Cost: about 40 ns per cell, and 0.5 us for each cell that is
 //! queried.
 //!
-//! A difference alone does not distinguish motion from what a common response cannot describe: vignetting that
-//! changes with the f-number, veiling glare, saturated colours, local tone mapping. Those are smooth, or change at an
-//! edge that both frames show. A moving object has edges that only one frame shows. Therefore the change of the log
-//! ratio between neighbouring cells is compared with the noise and with the smaller of the two frames' own changes
-//! there.
+//! A difference alone does not distinguish motion from effects that one response for all frames cannot describe:
+//! vignetting that changes with the f-number, veiling glare, saturated colours, local tone mapping. Such effects are
+//! smooth, or change at an edge that both frames show. A moving object has edges that only one frame shows. Therefore
+//! the change of the log ratio between neighbouring cells is compared with the noise and with the smaller of the two
+//! frames' own changes there.
 
 use crate::plane::Plane;
 
 /// Smallest change of the log ratio from one cell to the next that counts as a change, in octaves: half of the share of
-/// the radiance by which frames may differ anyway.
+/// the radiance by which frames may differ even without motion.
 const LEAST: f32 = 0.04;
-/// Fraction of a common change by which the changes of the two frames may differ: response, sharpness and colour
+/// If both frames show a change, they may differ by this fraction of it, because of response, sharpness and colour
 /// processing.
 const COMMON: f32 = 0.35;
-/// Number of halvings at which cells are compared, including the cells themselves.
+/// Number of scales at which cells are compared: the cells themselves, and means of 2, 4 and 8 cells square.
 const SCALES: usize = 4;
-/// Number of them at which the border of a difference is followed: the cells of the largest are as large as many
-/// moving objects.
+/// Number of the smaller scales that are averaged over the border of a difference: the cells of the largest scale are
+/// as large as many moving objects.
 const SMALLER: usize = 3;
 /// Fraction of the variance that remains in the mean of four cells: between a quarter for independent cells and all
 /// for equal ones.
@@ -32,7 +32,8 @@ const LEFT: f32 = 0.5;
 pub struct Ratio {
     /// log2 of the standard's radiance.
     pub standard: [f32; 3],
-    /// log2 of frame over standard; 0 if one is within the bound of the other.
+    /// log2 of the frame's radiance divided by the standard's; 0 if one is only a bound of the radiance and the other
+    /// within it.
     pub ratio: [f32; 3],
     /// Variance of the ratio.
     pub variance: [f32; 3],
@@ -129,7 +130,7 @@ impl Scales {
         self.changes(at).any(|change| change >= least)
     }
 
-    /// Returns the mean significance over some cells at the smaller scales, in standard deviations.
+    /// Returns the mean significance over `cells` at the smaller scales, in standard deviations.
     pub fn mean(&self, cells: &[(usize, usize)]) -> f32 {
         let all: f32 = cells.iter().map(|&at| self.changes(at).take(SMALLER).sum::<f32>()).sum();
         all / (SMALLER * cells.len()).max(1) as f32
@@ -140,8 +141,8 @@ impl Scales {
 mod tests {
     use super::*;
 
-    /// Returns how many of 32 x 32 cells changed, from log2 of the standard's radiance and of the frame's relative to
-    /// it.
+    /// Returns how many of 32 x 32 cells changed. `standard` is log2 of the standard's radiance, `ratio` log2 of the
+    /// frame's radiance divided by the standard's.
     fn found(standard: impl Fn(usize, usize) -> f32, ratio: impl Fn(usize, usize) -> f32) -> usize {
         let mut plane = Plane::filled(32, 32, Ratio::default());
         for y in 0..32 {
@@ -163,10 +164,11 @@ mod tests {
         // An edge only in the frame; an edge only in the standard.
         assert!(found(|_, _| 0.0, |x, _| half(x)) >= 64);
         assert!(found(|x, _| half(x), |x, _| -half(x)) >= 64);
-        // An edge in both, a third higher in the frame; no edge, with the frame brighter by half towards one side.
+        // An edge in both, a third higher in the frame; no edge, with the frame brighter towards one side, by half at
+        // most.
         assert_eq!(found(|x, _| half(x), |x, _| 0.33 * half(x)), 0);
         assert_eq!(found(|_, _| 0.0, |x, _| 0.6 * x as f32 / 32.0), 0);
-        // Displaced by a cell it is the same edge.
+        // An edge that is displaced by a cell in the frame is the same edge.
         assert_eq!(found(|x, _| half(x), |x, _| half(x + 1) - half(x)), 0);
     }
 
@@ -176,7 +178,7 @@ mod tests {
         (0..32).for_each(|y| plane.row_mut(y)[16..].iter_mut().for_each(|r| r.ratio = [0.1; 3]));
         let scales = Scales::of(plane);
         let column = |x: usize| (0..32).map(|y| (x, y)).collect::<Vec<_>>();
-        // 0.1 over the root of LEAST^2 and two variances is 2.36; larger cells have smaller variances.
+        // 0.1 / sqrt(LEAST^2 + 2 x 1e-4) = 2.36 standard deviations; larger cells have smaller variances.
         assert!((2.36..2.5).contains(&scales.mean(&column(15))), "{}", scales.mean(&column(15)));
         assert_eq!((scales.mean(&column(2)), scales.mean(&[])), (0.0, 0.0));
     }

@@ -8,19 +8,19 @@ use crate::response::tests::still;
 
 const SIZE: (usize, usize) = (240, 180);
 
-/// Tiles of several radiances, from 0.02 to 1.3.
+/// Returns the radiance of tiles of several brightnesses, from 0.02 to 1.3.
 fn background(x: usize, y: usize) -> [f64; 3] {
     let e = libm::exp2(((x / 24) * 5 + (y / 20) * 3) as f64 % 13.0 / 2.0 - 5.6);
     [e, 0.9 * e, 0.7 * e]
 }
 
-/// Whether a pixel is in a disc of 24 pixels around (x, y).
+/// Whether a pixel is in a disc with a radius of 24 pixels around `about`.
 fn disc(x: usize, y: usize, about: (usize, usize)) -> bool {
     let (dx, dy) = (x as f64 - about.0 as f64, y as f64 - about.1 as f64);
     dx * dx + dy * dy < 24.0 * 24.0
 }
 
-/// A bracket of three frames; frame 0 (the shortest) shows `scenes[0]` and so on.
+/// Returns a bracket of three frames; frame 0 (the shortest) shows `scenes[0]` and so on.
 fn bracket(scenes: [&dyn Fn(usize, usize) -> [f64; 3]; 3]) -> (Bracket, Alignment) {
     let times = [0.25, 1.0, 4.0];
     let frames = (0..3).map(|i| still(SIZE, &times, scenes[i]).0.frames()[i].clone()).collect();
@@ -53,7 +53,7 @@ fn deghosting_without_motion_changes_nothing() {
 #[test]
 fn a_mover_is_left_out_and_the_rest_is_untouched() {
     for frame in [0, 2] {
-        // Neither black in the shortest frame nor clipped in the longest: it must be removed.
+        // The disc is neither black in the shortest frame nor clipped in the longest: it must be removed.
         let mover = |x, y| if disc(x, y, (100, 80)) { [0.12, 0.1, 0.14] } else { background(x, y) };
         let mut scenes: [&dyn Fn(usize, usize) -> [f64; 3]; 3] = [&background; 3];
         scenes[frame] = &mover;
@@ -68,11 +68,11 @@ fn a_mover_is_left_out_and_the_rest_is_untouched() {
             all.iter().sum::<f32>() / all.len() as f32
         };
         assert!(error(&found) < 0.1 * error(&plain), "frame {frame}: {} of {}", error(&found), error(&plain));
-        // Far from it all three frames are used as before.
+        // Far from the disc all three frames are merged as without deghosting.
         assert_eq!(found.rows(150..180), plain.rows(150..180));
         let shares: Vec<f64> = ghosts.report().frames.iter().map(|f| f.ghost_fraction).collect();
         let (moved, other) = if frame == 0 { (shares[0], shares[1]) } else { (shares[1], shares[0]) };
-        // The disc is 4.2 % of the picture; some of its tiles have the same brightness, and a margin of up to 14
+        // The disc is 4.2 % of the picture. Some tiles behind it have the same brightness, and a margin of up to 14
         // pixels is also removed.
         assert!((0.02..0.105).contains(&moved) && other == 0.0, "frame {frame}: {shares:?}");
     }
@@ -80,8 +80,8 @@ fn a_mover_is_left_out_and_the_rest_is_untouched() {
 
 #[test]
 fn clipped_reference_is_replaced_as_standard_by_the_next_frame_that_agrees() {
-    // The reference is clipped at 1. One frame has a dark object in front of the sky, and the other does not; and
-    // vice versa.
+    // The reference is clipped at 1. One of the two shorter frames has a dark object in front of the sky, and the other
+    // does not: first the shortest, then the next.
     let sky = |_: usize, _: usize| [2.5, 2.6, 2.8];
     let times = [0.0625, 0.25, 1.0, 4.0];
     for frame in [0, 1] {
@@ -96,7 +96,7 @@ fn clipped_reference_is_replaced_as_standard_by_the_next_frame_that_agrees() {
         let ghosts = seek(&bracket, &alignment);
         let (found, plain) = (merged(&bracket, &alignment, Some(&ghosts)), merged(&bracket, &alignment, None));
         let far = plain.at(5, 5)[1];
-        // The shortest frame has few codes for it: 1/16 of 2.6 is code 112, with steps of 2 %.
+        // The shortest frame shows the sky, 1/16 of 2.6, with code value 112, where a step of one is 2 %.
         assert!((found.at(120, 90)[1] / far - 1.0).abs() < 0.03, "frame {frame}: {} for {far}", found.at(120, 90)[1]);
         assert!(plain.at(120, 90)[1] < 0.9 * far, "the mover is no test: {} for {far}", plain.at(120, 90)[1]);
     }
@@ -104,8 +104,8 @@ fn clipped_reference_is_replaced_as_standard_by_the_next_frame_that_agrees() {
 
 #[test]
 fn clipped_reference_is_continued_where_shorter_frames_show_motion() {
-    // A sky that doubles from left to right, and is clipped in the reference; the only shorter frame has a dark
-    // object in front of it. Below it is ground that no frame clips.
+    // A sky that doubles from left to right, and is clipped in the reference; the only shorter frame has a dark object
+    // in front of the sky. Below the sky is ground that no frame clips.
     let sky = |x: usize, y: usize| if y < 150 { [2.0 + 2.0 * x as f64 / SIZE.0 as f64; 3] } else { [0.2; 3] };
     let mover = |x: usize, y: usize| if disc(x, y, (120, 90)) { [0.2, 0.15, 0.15] } else { sky(x, y) };
     let times = [0.125, 1.0];
@@ -117,8 +117,8 @@ fn clipped_reference_is_continued_where_shorter_frames_show_motion() {
     let found = merged(&bracket, &alignment, Some(&ghosts));
     let scale = f64::from(found.at(20, 20)[1]) / sky(20, 20)[1];
     for (x, y) in [(120, 90), (110, 80), (135, 95), (98, 90), (142, 90)] {
-        // Steps of one in about 120 codes are 2 %; between means over at most 64 pixels the sky changes by a tenth in
-        // both directions.
+        // Tolerance: one of about 120 code values is 2 %, and radiance is continued from means over at most 64 pixels,
+        // over which the sky changes by a tenth in either direction.
         let expected = scale * sky(x, y)[1];
         assert!(
             (f64::from(found.at(x, y)[1]) / expected - 1.0).abs() < 0.12,
@@ -129,7 +129,7 @@ fn clipped_reference_is_continued_where_shorter_frames_show_motion() {
     let fraction = ghosts.report().continued_fraction;
     // The disc is 4.2 % of the picture, and a margin of up to 14 pixels around it is also removed.
     assert!((0.04..0.1).contains(&fraction), "{fraction}");
-    // The ground is that of all frames, and a static bracket has nothing to continue.
+    // The ground is merged as without deghosting, and a static bracket has nothing to continue.
     assert_eq!(found.row(170), merged(&bracket, &alignment, None).row(170));
     let (still, alignment) = self::bracket([&sky; 3]);
     assert_eq!(seek(&still, &alignment).report().continued_fraction, 0.0);
@@ -137,7 +137,7 @@ fn clipped_reference_is_continued_where_shorter_frames_show_motion() {
 
 #[test]
 fn continuation_has_the_surrounding_colour_without_seam() {
-    // A sunny wall, white in the reference; in the shorter frame it has a shadow with a soft edge.
+    // A sunny wall that is white in the reference; the shorter frame shows a shadow with a soft edge on the wall.
     let sun = [3.0, 2.4, 1.4];
     let shadow = |x: usize, y: usize| {
         let (dx, dy) = (x as f64 - 120.0, y as f64 - 90.0);
@@ -151,8 +151,8 @@ fn continuation_has_the_surrounding_colour_without_seam() {
     let lit = found.at(10, 90);
     let share = |x: usize| [0, 1, 2].map(|c| found.at(x, 90)[c] / lit[c]);
     for x in 60..180 {
-        // The shadow's outer edge is brighter than the clipping level of the reference (a third of the light in red),
-        // so it is not motion: half the light remains.
+        // Where the shadow's outer edge is brighter than the clipping level of the reference (a third of the sunlight
+        // in red), it is not motion and remains: at least half of the sunlight.
         let [r, g, b] = share(x);
         assert!(r > 0.5 && (g / r - 1.0).abs() < 0.04 && (b / r - 1.0).abs() < 0.04, "{x}: {:?}", share(x));
         // The edge of the shadow rises by 0.04 per pixel.
@@ -173,7 +173,7 @@ fn bright_object_beside_motion_keeps_its_shape() {
     let ghosts = seek(&bracket, &alignment);
     assert!(ghosts.report().ghost_fraction > 0.02);
     let (found, plain) = (merged(&bracket, &alignment, Some(&ghosts)), merged(&bracket, &alignment, None));
-    // Light is added at most up to the mean of both, which is 22 % above the darker.
+    // The continuation is at most the geometric mean of both kinds of bars, which is 22 % above the darker ones.
     let ratio = |x| found.at(x, 56)[1] / plain.at(x, 56)[1];
     assert!((100..140).all(|x| (1.0..1.1).contains(&ratio(x))), "{:?}", &found.row(56)[100..140]);
     assert!(found.at(120, 90)[0] < 0.5 * plain.at(120, 90)[0]);
@@ -181,8 +181,8 @@ fn bright_object_beside_motion_keeps_its_shape() {
 
 #[test]
 fn a_wall_that_is_black_in_a_short_frame_is_not_merged_with_who_stands_before_it() {
-    // In the reference a dark person stands in front of a wall that both others show; in the shortest the wall has
-    // code 4, and might be as dark as the person.
+    // In the reference a dark person stands in front of a wall that both other frames show. In the shortest frame the
+    // wall has code value 4, and might be as dark as the person.
     let wall = |_: usize, _: usize| [0.03; 3];
     let before = |x: usize, y: usize| if disc(x, y, (100, 80)) { [0.004; 3] } else { wall(x, y) };
     let times = [0.0625, 1.0, 4.0];
@@ -193,16 +193,18 @@ fn a_wall_that_is_black_in_a_short_frame_is_not_merged_with_who_stands_before_it
     let ghosts = seek(&bracket, &alignment);
     let at = |ghosts: Option<&Ghosts>| merged(&bracket, &alignment, ghosts).at(100, 80)[1];
     let shown = |ghosts| at(ghosts) / merged(&bracket, &alignment, None).at(200, 150)[1];
-    // Codes 13 and 56 of sRGB: 0.004 of 0.03, with an error of half a code of the darker one.
+    // The person has radiance 0.004 and the wall 0.03. In the reference the person has code value 13, where half a code
+    // value is 4.5 %.
     assert!((shown(Some(&ghosts)) / (0.004 / 0.03) - 1.0).abs() < 0.06, "{}", shown(Some(&ghosts)));
-    // It is unchanged where nothing moved.
+    // The shortest frame keeps its weight where nothing moved.
     assert_eq!(ghosts.kept(0, 150..151).get(200).copied().unwrap_or(1.0), 1.0);
     assert!(ghosts.kept(0, 80..81)[100] == 0.0);
 }
 
 #[test]
 fn mixed_channels_are_not_motion() {
-    // A disc in which blue is two thirds brighter in the long frame: a twenty-fifth of red.
+    // A disc in which blue is brighter by 0.02 in the long frame: by two thirds of the blue, but only a twenty-fifth of
+    // a red of 0.5.
     let found = |red: f64| {
         let scene =
             move |more: f64| move |x, y| if disc(x, y, (100, 80)) { [red, 0.1, 0.03 + more] } else { [red, 0.1, 0.03] };
@@ -234,7 +236,7 @@ fn a_mover_before_a_wall_whose_colour_misfits_does_not_take_the_wall_along() {
     };
     let (bracket, alignment) = bracket([&wall, &wall, &misfit]);
     let found = seek(&bracket, &alignment).report().ghost_fraction;
-    // The spot is a third of a percent, and up to 26 pixels square with its margin.
+    // The speck is a third of a percent of the picture, and with its margin up to 26 pixels square.
     assert!((0.002..0.025).contains(&found), "{found}");
 }
 
@@ -253,7 +255,8 @@ fn clipping_in_a_locally_processed_frame_is_no_bound() {
 
 #[test]
 fn a_frame_that_is_brighter_all_over_has_not_moved() {
-    // The exposure has an error of a sixth of a stop: 12 %, twice the smallest share that is accepted.
+    // The exposure of the longest frame has an error of a sixth of a stop: 12 %, twice the smallest share that is
+    // accepted.
     let (mut frames, alignment) = bracket([&background; 3]);
     let brighter = |x, y| background(x, y).map(|e| 1.12 * e);
     let off = still(SIZE, &[0.25, 1.0, 4.0], brighter).0.frames()[2].clone();
@@ -309,7 +312,7 @@ fn cells_are_the_means_of_exposures() {
                 cells::average(&Layer { frame: &frame, warp, meaning, is_assumed: false }, region, side, 0).unwrap()
             };
             let cells = seen(Transform::Identity);
-            // Also with a shift of no pixels, which uses other code.
+            // A shift by 0 pixels, which uses other code, gives the same cells.
             let still = Transform::Rigid { dx: 0.0, dy: 0.0, angle: 0.0 };
             assert_eq!(cells, seen(still));
             // All pixels of cells of up to 4x4 are read.
@@ -320,7 +323,8 @@ fn cells_are_the_means_of_exposures() {
                 let clipped = pixels.clone().any(|p| code(p) > 248.0);
                 let mean = pixels.map(|p| 2.0 * curve.exposure(c, code(p))).sum::<f32>() / (side * side) as f32;
                 let cell = cells.at(i, j);
-                // Sixteen roundings of one part in 2^24; a 16-bit code may be smaller than an 8-bit one by 2^-16.
+                // Sixteen roundings of one part in 2^24; a code value read from 16 bits may be smaller than the 8-bit
+                // one by 2^-16.
                 assert!(black || (cell.radiance[c] / mean - 1.0).abs() < 1e-4, "{} for {mean}", cell.radiance[c]);
                 assert_eq!((cell.is_black(c), cell.is_clipped(c)), (black, clipped));
             }
@@ -340,13 +344,13 @@ fn factors_between_cells_are_bilinear() {
         holes: None,
     };
     let kept = ghosts.kept(0, 1..3);
-    // By hand: cell centres are at pixels 0.5, 2.5, 4.5 and rows 0.5, 2.5. Row 1 is a quarter of the way down, pixel
-    // 2 three quarters to the right.
+    // By hand: cell centres are at pixels 0.5, 2.5, 4.5 and rows 0.5, 2.5. Row 1 is a quarter of the way from the first
+    // row of centres to the second, pixel 2 three quarters of the way from the first centre to the second.
     let (left, right) = (0.25 * 0.4, 0.75);
     assert!((kept[2] - (0.25 * left + 0.75 * right)).abs() < 1e-6, "{kept:?}");
     assert!((kept[0] - 0.1).abs() < 1e-6);
     assert_eq!((kept.len(), ghosts.kept(1, 0..4).len()), (10, 0));
-    // With one other frame the mask is the part of it that is removed.
+    // There is one other frame, so the mask is the share of that frame that is removed.
     assert_eq!(ghosts.mask().at(0, 1), (255.0f32 * 0.9 + 0.5) as u8);
 }
 
@@ -358,7 +362,7 @@ fn of_large_cells_a_quarter_is_looked_at() {
     let layer =
         Layer { frame: &frame, warp: Transform::Identity, meaning: Meaning::of(&curve, 1.0), is_assumed: false };
     let cell = cells::average(&layer, Rect { x0: 0, y0: 0, x1: 8, y1: 8 }, 8, 0).unwrap().at(0, 0);
-    // Four blocks of four pixels, one of which is clipped.
+    // Four blocks of 2x2 pixels are read; one of their 16 pixels is clipped.
     let mean = (15.0 * curve.exposure(0, 100.0) + curve.exposure(0, 255.0)) / 16.0;
     assert!((cell.radiance[0] / mean - 1.0).abs() < 1e-5 && cell.is_clipped(0), "{} for {mean}", cell.radiance[0]);
 }
@@ -374,8 +378,8 @@ fn white_balance_is_parsed_and_printed_as_typed() {
 
 #[test]
 fn flare_and_saturated_colours_are_not_motion() {
-    // The long frame is brighter by a third at its right border, as with flare, and its red also at the edges of the
-    // tiles.
+    // The long frame is brighter by up to a third towards the right, as with flare, and its red is 15 % higher
+    // everywhere, so that its edges between the tiles differ too.
     let veiled = |x: usize, y: usize| {
         let [r, g, b] = background(x, y).map(|e| e * (1.0 + 0.33 * x as f64 / SIZE.0 as f64));
         [1.15 * r, g, b]

@@ -1,34 +1,36 @@
 //! The usual difference between a frame and the standard where nothing moved.
 //!
 //! In: cells of the standard and of a frame. Out: for each channel and level of radiance the median of their ratio,
-//! which is the error of the response, and its spread, due to noise and alignment. Cost: about 10 ns per cell.
+//! which is the error of the response, and the spread of their ratio, due to noise and alignment. Cost: about 10 ns per
+//! cell.
 
 use super::cells::Cell;
 use crate::plane::{Plane, fold_bands};
 
 /// Largest spread that is estimated from the bracket, so that much motion in a picture does not count as noise.
 const MOST: f32 = 0.25;
-/// Largest correction factor.
+/// Largest factor by which the usual bias is corrected.
 const MOST_BIAS: f32 = 1.5;
 
-/// Levels of radiance, half a stop each.
+/// Number of levels of radiance, each half a stop wide.
 const LEVELS: usize = 64;
-/// Level of radiance 1.
+/// Index of the level of radiance 1.
 const UNIT_LEVEL: f32 = 40.0;
-/// Bins of the ratio of two radiances, from two stops below 1 to two stops above: floats with the same exponent and
-/// the same first five bits of the mantissa.
+/// Number of bins of the ratio of two radiances, from two stops below 1 to two stops above.
 const RATIOS: usize = 128;
+/// Right shift from the bits of a ratio to its bin: floats with the same exponent and the same first five bits of the
+/// mantissa share a bin.
 const RATIO_SHIFT: u32 = 18;
 /// Number of cells of a level at which its estimates have half of their full weight.
 const FEW: f32 = 400.0;
 
-/// Approximates log2, exact at powers of 2 and linear between: monotone, and the same on any machine.
+/// Approximates log2: exact at powers of 2 and linear between them, so monotone, and the same on any machine.
 #[inline]
 fn log2_linear(x: f32) -> f32 {
     x.to_bits() as f32 * (1.0 / (1 << 23) as f32) - 127.0
 }
 
-/// Returns the level of radiance of two cells: that of their geometric mean.
+/// Returns the level of radiance of two cells: the level of the geometric mean of their radiances.
 #[inline]
 pub fn level(a: f32, b: f32) -> f32 {
     (log2_linear(a) + log2_linear(b) + UNIT_LEVEL).clamp(0.0, (LEVELS - 1) as f32)
@@ -43,7 +45,7 @@ pub struct Usual {
 }
 
 impl Usual {
-    /// Estimates them for `frame` relative to `standard`, over the whole picture.
+    /// Estimates bias and spread of `frame` relative to `standard`, over the whole picture.
     pub fn of(standard: &Plane<Cell>, frame: &Plane<Cell>) -> Self {
         let bin = |c: usize, level: usize, ratio: usize| (c * LEVELS + level) * RATIOS + ratio;
         let first = (1.0f32.to_bits() >> RATIO_SHIFT) - RATIOS as u32 / 2;

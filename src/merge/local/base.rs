@@ -1,12 +1,11 @@
 //! The base of a locally processed frame, and the curve with which the phone compressed it.
 //!
 //! In: the logarithm of each frame's exposure on cells. Out: for each cell the base as a function of a pixel's
-//! logarithm, and the curve from the base of a frame to that of the scene. Cost: two box filters over at most 256 x
-//! 256 cells for each frame, and some passes over the cells of each pair of frames. Source: base and detail as in
-//! Durand & Dorsey 2002. The base is that of the guided filter (He, Sun & Tang 2013) of the logarithm of luminance,
-//! guided by itself, computed on cells and interpolated (He & Sun 2015). The curve is recovered like a camera
-//! response (Debevec & Malik 1997), from bases instead of codes.
-//!
+//! logarithm, and the curve from the base of a frame to that of the scene. Cost: two box filters over at most 256 x 256
+//! cells for each frame, and some passes over the cells of each pair of frames. Source: base and detail as in Durand &
+//! Dorsey 2002. The base is the result of the guided filter (He, Sun & Tang 2013) on the logarithm of luminance, guided
+//! by itself, computed on cells and interpolated (He & Sun 2015). The curve is recovered like a camera response
+//! (Debevec & Malik 1997), from bases instead of code values.
 //! A local tone mapping compresses the base and keeps the details. An edge of several stops is part of the base,
 //! otherwise there would be halos. A phone renders each frame independently. The rendering of a base depends only on
 //! that base, so one curve is valid for all frames and places, and a stop of exposure is a stop of the original base.
@@ -16,17 +15,18 @@ use crate::pyramid::cells::gathered;
 use crate::statistics::{MEDIAN_DEVIATION, biweight, median};
 use nalgebra::{SMatrix, SVector};
 
-/// Radius of the filter in cells: a neighbourhood of a twelfth of the longer side.
+/// Longer side of the picture divided by the radius of the filter: a neighbourhood is a twelfth of the longer side
+/// wide.
 const RADIUS: usize = 24;
-/// Variance at which half of a difference belongs to the base, in square stops: an edge of 2.8 stops. On 12 rendered
-/// brackets of phones, 4 has a PU21-PSNR of details that is lower by 0.4 dB.
+/// Variance at which half of a difference belongs to the base, in square stops: that of an edge of 2.8 stops between
+/// equal halves. On 12 rendered brackets of phones, a variance of 4 has a PU21-PSNR of details that is lower by 0.4 dB.
 const EDGE: f32 = 2.0;
-/// Knots of the curve: at least one for each stop that an 8-bit frame shows.
+/// Number of knots of the curve: at least one for each stop that an 8-bit frame shows.
 const KNOTS: usize = 13;
-/// Weight of the curve's squared second derivative relative to the mean squared error. On the same brackets a fifth
-/// and five times as much change the details by 0.1 dB.
+/// Weight of the curve's squared second derivative relative to the mean squared error. On the 12 brackets of [`EDGE`],
+/// a fifth and five times this weight change the PU21-PSNR of details by 0.1 dB.
 const SMOOTH: f64 = 0.01;
-/// Passes of least squares; in all but the first, cells with motion have less weight.
+/// Number of passes of least squares; in all but the first, cells with motion have less weight.
 const PASSES: usize = 6;
 /// Reach of Tukey's biweight in robust standard deviations.
 const REACH: f64 = 4.685;
@@ -36,10 +36,10 @@ const LEAST: f64 = 0.05;
 /// Range of the slope from a frame's base to the scene's: a phone compresses and never expands, and a slope above the
 /// range would amplify noise.
 const SLOPES: (f64, f64) = (1.0, 2.5);
-/// Smallest number of differences that determine the curve.
+/// Smallest number of pairs from which the curve is determined.
 const FEWEST: usize = 100;
 
-/// Returns the base as a function of the logarithm x of a pixel: a and b of a x + b, for each cell. `stops` are the
+/// Returns for each cell the base as a function of the logarithm x of a pixel: a and b of a x + b. `stops` are the
 /// logarithms of the cells, `None` outside of the frame.
 pub(super) fn coefficients(stops: &Plane<Option<f32>>) -> Plane<[f32; 2]> {
     let longer = stops.width().max(stops.height());
@@ -64,7 +64,7 @@ pub(super) fn mapped<S: Sync, T: Copy + Default + Send>(plane: &Plane<S>, of: im
     })
 }
 
-/// Adds the sums of another cell.
+/// Adds the sums `b` of another cell to `a`.
 fn add(a: &mut [f32; 3], b: &[f32; 3]) {
     a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
 }
@@ -76,7 +76,8 @@ pub(super) struct Pair {
     pub stops: f32,
 }
 
-/// The difference between the scene's base and a frame's base in stops: linear between knots and beyond the last.
+/// The scene's base minus a frame's base, in stops, as a function of the frame's base: linear between knots and beyond
+/// them.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct BaseCurve {
     low: f32,
@@ -85,8 +86,8 @@ pub(super) struct BaseCurve {
 }
 
 impl BaseCurve {
-    /// Returns the curve for which the bases of `pairs` differ by the exposures. It is 0 everywhere if there are too
-    /// few pairs or they are equal.
+    /// Returns the curve for which the scene's bases of `pairs` differ by the exposures. It is 0 everywhere if there
+    /// are too few pairs or all bases are equal.
     pub fn of(pairs: &[Pair]) -> BaseCurve {
         BaseCurve::recovered(pairs).unwrap_or(BaseCurve { low: 0.0, step: 1.0, lacks: [0.0; KNOTS] })
     }
@@ -97,7 +98,7 @@ impl BaseCurve {
         }
         let mut bases: Vec<f32> = pairs.iter().flat_map(|pair| [pair.bases.0, pair.bases.1]).collect();
         bases.sort_by(f32::total_cmp);
-        // A few of the darkest and the brightest would extend the curve.
+        // The knots span all but the darkest and the brightest 0.5 % of the bases, which would extend the curve far.
         let few = bases.len() / 200;
         let (low, step) = (bases[few], (bases[bases.len() - 1 - few] - bases[few]) / (KNOTS - 1) as f32);
         if step <= f32::EPSILON {
@@ -110,13 +111,13 @@ impl BaseCurve {
             lacks[k] = lacks[k - 1] + (slope - 1.0) as f32 * step;
         }
         let mut curve = BaseCurve { low, step, lacks };
-        // The middle code keeps its radiance.
+        // Base 0, the middle code value, keeps its radiance.
         let middle = curve.at(0.0);
         curve.lacks.iter_mut().for_each(|v| *v -= middle);
         Some(curve)
     }
 
-    /// Returns the difference at base `v`.
+    /// Returns the scene's base minus the frame's base, where the frame's base is `v`.
     #[inline(always)]
     pub fn at(&self, v: f32) -> f32 {
         let along = (v - self.low) / self.step;
@@ -130,15 +131,16 @@ impl BaseCurve {
     }
 }
 
-/// Returns the scene's base at the knots, which begin at `low` with a spacing of `step`: smoothed, reweighted least
-/// squares.
+/// Returns the scene's base at the knots of the frame's base, which begin at `low` with a spacing of `step`: by
+/// smoothed, reweighted least squares.
 fn fitted(pairs: &[Pair], low: f64, step: f64) -> Option<SVector<f64, KNOTS>> {
     let between = |v: f32| {
         let along = ((f64::from(v) - low) / step).clamp(0.0, (KNOTS - 1) as f64);
         let k = (along as usize).min(KNOTS - 2);
         (k, along - k as f64)
     };
-    // The knots on both sides of each base of a pair, with their factors.
+    // The equation of a pair: the scene's base at the longer frame's base minus that at the shorter frame's base, each
+    // interpolated between two knots.
     let row = |pair: &Pair| {
         let ((i, f), (j, g)) = (between(pair.bases.0), between(pair.bases.1));
         [(j, 1.0 - g), (j + 1, g), (i, f - 1.0), (i + 1, -f)]
@@ -175,8 +177,8 @@ fn fitted(pairs: &[Pair], low: f64, step: f64) -> Option<SVector<f64, KNOTS>> {
 mod tests {
     use super::*;
 
-    /// Pairs two stops apart of a phone that keeps half of a stop from -4 to 1 stops, and a full stop elsewhere;
-    /// every ninth pair shows motion.
+    /// Returns pairs of frames two stops apart. The phone halves the contrast of scene bases from -4 to 1 stops and
+    /// keeps it elsewhere; every ninth pair shows motion.
     fn pairs() -> Vec<Pair> {
         let shown = |scene: f32| scene - 0.5 * (scene.clamp(-4.0, 1.0) + 4.0);
         let moved = |i: usize| if i.is_multiple_of(9) { 3.0 } else { 0.0 };
@@ -191,7 +193,8 @@ mod tests {
     fn curve_of_bases_inverts_the_phone_in_spite_of_motion() {
         let curve = BaseCurve::of(&pairs());
         let slope = |v: f32| 1.0 + (curve.at(v + 0.1) - curve.at(v - 0.1)) / 0.2;
-        // The frames' base is -4 at a scene base of -4, and -1.5 at 1; the spacing of the knots is 0.7 stops.
+        // The frame's base is -4 at a scene base of -4, and -1.5 at 1: the expected slope is 2 between -4 and -1.5, and
+        // 1 elsewhere. The knots are 0.7 stops apart.
         for (v, expected) in [(-5.3, 1.0), (-3.0, 2.0), (-2.5, 2.0), (-0.2, 1.0)] {
             assert!((slope(v) - expected).abs() < 0.25, "{v}: {} {curve:?}", slope(v));
         }
@@ -221,10 +224,11 @@ mod tests {
             let [a, b] = coefficients(&step(stops)).at(x, 80);
             a * v + b
         };
-        // Far from the edge the variance is 0.01, of which 0.5 % belong to the base.
+        // Far from the edge the variance is 0.01, so only 0.01 / (0.01 + EDGE) = 0.5 % of a difference belongs to the
+        // base.
         assert!((base(4.0, 30, -1.9) + 2.0).abs() < 0.01 && (base(4.0, 30, -2.1) + 2.0).abs() < 0.01);
-        // At the edge the variance is 4, of which two thirds belong to the base; cells that the frame does not cover
-        // have no influence.
+        // At the edge the variance is 4, so 4 / (4 + EDGE) = two thirds of a difference belong to the base. Cells that
+        // the frame does not cover have no influence.
         assert!(base(4.0, 121, 2.0) - base(4.0, 119, -2.0) > 2.2);
         assert!((base(0.0, 229, 0.1)).abs() < 0.01);
     }

@@ -6,12 +6,14 @@
 //! frames are not locally processed. Source: the inverse of a two-scale tone mapping (Durand & Dorsey 2002) with a
 //! curve that is recovered from the exposures (`base`).
 //!
-//! 1. Every frame is averaged to exposure over cells, 256 along the longer side, and its base is computed.
-//! 2. The bases of two frames at the same cell would differ by the exposures without tone mapping. The curve with
-//!    which the phone compressed them is fitted to their differences.
-//! 3. Each pixel is expanded by the difference of its base and the curve. Details keep the camera's contrast;
-//!    structures that are larger than a neighbourhood, and edges of several stops, get their original contrast. This
-//!    is done before merging, so that frames agree that were brightened differently at the same place.
+//! 1. Every frame is averaged to exposure over at most 256 cells along the longer side, and its base, which is the
+//!    logarithm of brightness without details, is computed.
+//! 2. Without tone mapping, the bases of two frames at the same cell would differ by the difference of their exposures.
+//!    The curve with which the phone compressed the bases is fitted to the differences that are found.
+//! 3. The radiance of each pixel is multiplied by the difference, in stops, between the scene's base by that curve and
+//!    the frame's base. Details keep the camera's contrast; structures that are larger than a neighbourhood, and edges
+//!    of several stops, get their original contrast. This is done before merging, so that frames that were brightened
+//!    differently at the same place agree.
 
 mod base;
 
@@ -34,14 +36,14 @@ use std::path::Path;
 
 /// Largest number of cells along the longer side.
 const CELLS: usize = 256;
-/// Rec. 709 luminance; the gain is the same for all channels.
+/// Weights of R, G and B in the luminance (Rec. 709) that determines the gain, which is the same for all channels.
 const LUMINANCE: [f32; 3] = crate::merge::radiance::statistics::BT709;
-/// Largest fraction of an exposure step that frames are assumed to keep; a larger apparent fraction is due to the
-/// steepness of the curve. Of 26 brackets of phones whose curve is close to sRGB's (truth.py) all but three keep 0.46
-/// to 0.58.
+/// Largest fraction of an exposure step that phones are assumed to keep. If the sRGB curve shows a larger fraction, it
+/// has too many stops between the code values. Of 26 brackets of phones whose curve is close to sRGB's (truth.py) all
+/// but three keep 0.46 to 0.58.
 const MOST_FRACTION: f64 = 0.6;
 
-/// Factors for the radiance of each frame over a region of the reference.
+/// Factors for the radiance of each frame over a region of the reference frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LocalGain {
     region: Rect,
@@ -49,7 +51,7 @@ pub struct LocalGain {
     side: usize,
     /// The merged frames by rising exposure.
     frames: Vec<Processed>,
-    /// Index of the reference in them.
+    /// Index of the reference frame in `frames`.
     reference: usize,
     curve: BaseCurve,
 }
@@ -58,9 +60,9 @@ pub struct LocalGain {
 #[derive(Debug, Clone, PartialEq)]
 struct Processed {
     path: String,
-    /// a and b of the base a x + b, where x is the logarithm of radiance in stops.
+    /// For each cell a and b of the base a x + b, where x is the logarithm of a pixel's radiance in stops.
     base: Plane<[f32; 2]>,
-    /// Difference between the scene's base and that of a cell, in stops, and whether the cell is known.
+    /// For each cell the scene's base minus the frame's base, in stops, and whether the cell is known.
     lacks: Plane<(f32, bool)>,
 }
 
@@ -71,7 +73,7 @@ pub struct LocalReport {
     pub locally_processed: bool,
     /// Median fraction of an exposure step by which the frames differ.
     pub exposure_step_fraction: f64,
-    /// Standard deviation over the picture of the ratio of two frames at the same code.
+    /// Standard deviation over the picture, in stops, of the ratio of two frames at the same code value.
     pub variation_stops: f64,
     /// Mean number of stops to which a stop of the frames was expanded, for structures larger than a neighbourhood; 1
     /// without expansion.
@@ -83,22 +85,23 @@ pub struct LocalReport {
 /// The gain of one frame relative to the reference, in addition to the exposure.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct LocalFrame {
-    /// The file, as it was named.
+    /// Path of the file, as given.
     pub path: String,
     /// Smallest and largest gain over the result, in stops.
     pub gain_stops: (f64, f64),
 }
 
-/// Returns the curve used for locally processed frames: that of sRGB, less steep if `evidence` shows that it is too
-/// steep. A curve fitted to the frames would contain their compression.
+/// Returns the response used for locally processed frames: that of sRGB, with fewer stops between the code values if
+/// `evidence` shows that sRGB has too many. A response fitted to the frames would contain their compression.
 pub fn curve(evidence: &Evidence) -> ResponseCurve {
     let srgb = ResponseCurve::srgb();
     let power = power(evidence);
     ResponseCurve::new(std::array::from_fn(|c| srgb.ln_exposure(c).map(|g| g / power))).unwrap_or(srgb)
 }
 
-/// Returns the smallest factor between the slopes of the sRGB curve and the camera's: no place may be brightened by
-/// more than the exposures were, and no phone keeps more than [`MOST_FRACTION`] of a step.
+/// Returns the smallest divisor, 1 or more, of the stops between the code values of sRGB for which no place is
+/// brightened by more than the exposures differ, and the median place keeps at most [`MOST_FRACTION`] of an exposure
+/// step.
 fn power(evidence: &Evidence) -> f64 {
     evidence.most_step_fraction.max(evidence.step_fraction / MOST_FRACTION).max(1.0)
 }
@@ -128,8 +131,8 @@ fn side(region: Rect, most: usize) -> usize {
     std::iter::successors(Some(2), |side| Some(2 * side)).find(|side| longer.div_ceil(*side) <= most).unwrap_or(2)
 }
 
-/// Whether the content of a cell is known: not if it is clipped, because a phone leaves it white, or if all of it is
-/// black.
+/// Whether the content of a cell is known: not if a channel is clipped, because a phone leaves clipped pixels white,
+/// and not if all channels are black.
 fn is_known(cell: &Cell) -> bool {
     !(cell.is_outside() || cell.clips() || (0..3).all(|c| cell.is_black(c)))
 }
@@ -193,8 +196,8 @@ impl LocalGain {
         Err(Error::Option { option: "--crop", reason: reason.to_owned() })
     }
 
-    /// Returns the factors of the cells of frame `layer` (index of the merged frames by rising exposure) at `rows` of
-    /// the region, by rows, for pixels as bright as their cell.
+    /// Returns the factors of the pixels of `rows` of the region, row by row, for pixels as bright as their cell.
+    /// `layer` is the frame's index among the merged frames by rising exposure.
     pub fn at(&self, layer: usize, rows: Range<usize>) -> Vec<f32> {
         let Some(frame) = self.frames.get(layer) else { return Vec::new() };
         let mut factors = self.rows(&frame.lacks, |(lacks, _)| lacks, rows);
@@ -212,13 +215,13 @@ impl LocalGain {
         factors
     }
 
-    /// Returns the base of frame `layer` as a function of the logarithm of a pixel's radiance, at `rows` of the
-    /// region, by rows.
+    /// Returns the base of frame `layer` as a function of the logarithm of a pixel's radiance (see
+    /// [`Processed::base`]), at the pixels of `rows` of the region, row by row.
     pub(super) fn base(&self, layer: usize, rows: Range<usize>) -> Vec<[f32; 2]> {
         self.frames.get(layer).map_or_else(Vec::new, |frame| self.rows(&frame.base, |v| v, rows))
     }
 
-    /// Interpolates `of` cells at `rows` of the region.
+    /// Interpolates the values `of(cell)` at the pixels of `rows` of the region.
     fn rows<S: Copy, T: Mix + Default>(&self, cells: &Plane<S>, of: fn(S) -> T, rows: Range<usize>) -> Vec<T> {
         let width = self.region.width();
         let mut values = vec![T::default(); rows.len() * width];
@@ -234,8 +237,8 @@ impl LocalGain {
         vectorised(Factors { layer, row, base, curve: &self.curve, factors });
     }
 
-    /// Adjusts the range of the photographs to the expanded radiance: the lights of the shortest frame are brighter
-    /// by the difference at white, and a picture is exposed by that much less.
+    /// Adjusts the range of the photographs to the expanded radiance: the highlights of the shortest frame become
+    /// brighter by the curve's difference at white, so the radiance at its middle code value is multiplied by as much.
     pub fn photographed(&self, photographed: Photographed) -> Photographed {
         let lacks = self.curve.at(photographed.white_stops as f32);
         Photographed { shortest: photographed.shortest * libm::exp2(f64::from(lacks)), ..photographed }

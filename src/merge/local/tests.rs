@@ -19,14 +19,14 @@ fn scene(x: usize, y: usize) -> f64 {
     texture * if window { 6.0 * shade } else { 0.1 * shade }
 }
 
-/// The base of the scene, from which a phone computes its gain.
+/// The base of the scene, without its texture, from which a phone computes its gain.
 fn base(x: usize, y: usize) -> f64 {
     let window = (200..300).contains(&x) && (60..160).contains(&y);
     libm::exp2(x as f64 / 180.0 - 1.0) * if window { 6.0 } else { 0.1 }
 }
 
-/// Three frames two stops apart, the middle one the reference, with the sRGB curve; `phone` is the fraction of a stop
-/// that it keeps of a base that is neither too dark nor too bright.
+/// Returns three frames two stops apart with the sRGB curve; the middle one is the reference. `phone` is the fraction
+/// of a stop of the base that a phone keeps, except in very dark and very bright places; 1 is a camera.
 fn frames(phone: f64) -> (Bracket, Alignment) {
     let frame = |stops: f64| {
         let time = libm::exp2(stops);
@@ -84,13 +84,14 @@ fn contrast(map: &Plane<[f32; 3]>, first: (usize, usize), second: (usize, usize)
 fn gain_gives_back_the_scenes_contrast_small_and_large_and_across_an_edge() {
     let (bracket, alignment) = frames(0.45);
     let [with, without] = merged(&bracket, &alignment);
-    // Texture; the room's shade; from the room into the window beside its edge; and in its middle.
+    // Within the texture; along the room's shade; across the edge of the window; from the room to the middle of the
+    // window.
     let places = [((40, 100), (68, 100)), ((20, 30), (180, 200)), ((196, 110), (204, 110)), ((120, 110), (250, 110))];
     for (first, second) in places {
         let truth = libm::log2(scene(second.0, second.1) / scene(first.0, first.1));
         let error = |map| (contrast(map, first, second) - truth).abs();
-        // The frames keep half of the 5.9 stops from the room to the window; of an edge with as much on either side,
-        // the base has half.
+        // The frames keep 0.45 of the 5.9 stops from the room to the window, which is 2.7. Across such an edge, with as
+        // much of either side, the variance of the logarithm is 1.8, so that only half of the edge belongs to the base.
         assert!(error(&with) < 0.1 + 0.3 * truth.abs(), "{first:?} {second:?}: {truth}, {} off", error(&with));
         assert!(truth.abs() < 2.0 || error(&without) > 1.1 * error(&with), "{first:?} {second:?}: {}", error(&without));
     }
@@ -104,7 +105,7 @@ fn report_of_a_phone_has_the_range_of_each_frame_against_the_reference() {
     assert!(report.locally_processed && report.frames.len() == 2 && report.expansion > 1.3, "{report:?}");
     assert!(report.range_stops().is_some_and(|(least, most)| least < -0.5 && most > 0.5), "{report:?}");
     assert!(local.against_reference(1, 0..9).is_empty(), "the reference has none");
-    // The longer frame was brightened less than the reference, the shorter one more.
+    // The phone brightened the longer frame less than the reference, and the shorter one more.
     assert!(local.against_reference(0, 30..31)[40] < 1.0 && local.against_reference(2, 30..31)[40] > 1.0);
 }
 
@@ -114,7 +115,7 @@ fn lights_of_a_phones_frames_are_shown_by_a_shorter_exposure() {
     let local = LocalGain::find(&bracket, &alignment, &ResponseCurve::srgb(), alignment.overlap).unwrap();
     let photographed = Photographed { longest: 0.25, shortest: 4.0, contrast: 1.0, white_stops: 2.2 };
     let expanded = local.photographed(photographed);
-    // Up to 2.2 stops of white are expanded by 1 to 2.5.
+    // The 2.2 stops from the middle to white are expanded by a factor of 1 to 2.5, so by at most 1.5 x 2.2 stops.
     assert!(expanded.shortest > 4.5 && expanded.shortest < 4.0 * libm::exp2(1.5 * 2.2), "{expanded:?}");
     assert_eq!(Photographed { shortest: 4.0, ..expanded }, photographed);
 }
@@ -124,7 +125,7 @@ fn gain_of_a_cameras_frames_is_one() {
     let (bracket, alignment) = frames(1.0);
     let local = LocalGain::find(&bracket, &alignment, &ResponseCurve::srgb(), alignment.overlap).unwrap();
     for i in [0, 2] {
-        // A code of noise and rounding is 0.03 stops in the middle; the mean over a cell has less.
+        // Noise and rounding of one code value are 0.03 stops at the middle code value; the mean over a cell has less.
         assert!(local.against_reference(i, 0..SIZE.1).iter().all(|gain| (gain - 1.0).abs() < 0.1));
     }
 }
@@ -147,8 +148,9 @@ fn curve_is_flattened_where_no_phone_could_have_kept_so_much() {
         ResponseCurve::srgb().ln_exposure(0)[250] / curve(&evidence).ln_exposure(0)[250]
     };
     assert!((steepness(0.5, 0.9) - 1.0).abs() < 1e-9);
-    // A fraction above a full step counts as a full step.
+    // A place that seems to keep 1.6 steps can have kept at most one: the curve is 1.6 times as steep as sRGB's.
     assert!((steepness(0.8, 1.6) - 1.6).abs() < 1e-9);
-    // No phone keeps a full step: the curve is steeper than sRGB's, although no place shows it.
+    // No phone keeps a full step: the camera's curve must be steeper than sRGB's, although no place keeps more than a
+    // step.
     assert!((steepness(1.0, 1.0) - 1.0 / 0.6).abs() < 1e-9);
 }

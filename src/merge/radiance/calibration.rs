@@ -1,9 +1,9 @@
 //! Units: from radiance relative to the reference's exposure to cd/m2.
 //!
-//! In: what the user knows of the camera, the reference frame and the response. Out: the luminance of radiance 1, or
-//! none where it stays relative. Cost: one multiplication a value. Source: the constant is that of Greg Ward's hdrgen,
-//! [`CAMERA_CONSTANT`]; ISO 12232:2019, section 6.2, derives 78 / 0.65 = 120 N^2 / (t S) for saturation-based speeds,
-//! without the half stop that it leaves for highlights: 85.
+//! In: a [`Calibration`], the reference frame and the response. Out: the luminance of radiance 1, or none if radiance
+//! stays relative. Cost: one multiplication a value. Source: the constant is that of Greg Ward's hdrgen,
+//! [`CAMERA_CONSTANT`]. ISO 12232:2019, section 6.2, derives 78 / 0.65 = 120 N^2 / (t S) for saturation-based speeds;
+//! without the half stop that it leaves for highlights, that is 85 N^2 / (t S).
 //!
 //! The largest code value of a frame with exposure time t in s, f-number N and sensitivity S (exact steps, corrected
 //! like the exposures of the merge) stands for
@@ -38,22 +38,22 @@ impl Factor {
     /// 1.
     pub const ONE: Factor = Factor(1.0);
 
-    /// `value` as a factor, or `None` if it is out of range.
+    /// Returns `value` as a factor, or `None` if it is out of range.
     pub fn new(value: f64) -> Option<Factor> {
         (1e-20..=1e20).contains(&value).then_some(Factor(value))
     }
 
-    /// Its value.
+    /// Returns the value of the factor.
     pub fn get(self) -> f64 {
         self.0
     }
 
-    /// The product of both factors, or `None` if it is out of range.
+    /// Returns the product of both factors, or `None` if it is out of range.
     pub fn times(self, other: Factor) -> Option<Factor> {
         Factor::new(self.0 * other.0)
     }
 
-    /// This factor divided by the other, or `None` if it is out of range.
+    /// Returns this factor divided by `other`, or `None` if the quotient is out of range.
     pub fn over(self, other: Factor) -> Option<Factor> {
         Factor::new(self.0 / other.0)
     }
@@ -76,8 +76,8 @@ pub enum Unit {
 pub struct Calibration {
     /// Whether to compute luminance from exposure time, f-number and sensitivity, by [`CAMERA_CONSTANT`].
     pub camera: bool,
-    /// A [`Factor`] on the result. With [`camera`](Self::camera) a correction near 1 (measured over reported
-    /// luminance); without it the luminance of radiance 1 in cd/m2.
+    /// A [`Factor`] on the result. With [`camera`](Self::camera) it is a correction near 1: measured luminance divided
+    /// by reported luminance. Without `camera` it is the luminance of radiance 1 in cd/m2.
     pub factor: Option<f64>,
 }
 
@@ -113,7 +113,7 @@ impl Calibration {
     /// Checks that the EXIF of the reference frame has what [`settle`](Self::settle) needs.
     ///
     /// # Errors
-    /// As there.
+    /// As [`settle`](Self::settle).
     pub fn check(&self, reference: &Frame) -> Result<()> {
         self.validate()?;
         if self.camera { top_code_luminance(reference).map(|_| ()) } else { Ok(()) }
@@ -124,7 +124,7 @@ impl Calibration {
         self.camera || self.factor.is_some()
     }
 
-    /// The luminance of radiance 1, or `None` if radiance stays relative.
+    /// Returns the luminance of radiance 1, or `None` if radiance stays relative.
     ///
     /// # Errors
     /// [`Error::Option`] if the reference frame lacks exposure time, f-number or sensitivity, or the factor is invalid.
@@ -136,7 +136,8 @@ impl Calibration {
             return Ok(self.factor.map(|_| report));
         }
         let top_code = top_code_luminance(reference)?;
-        // The exposure of the reference frame is the unit of exposure.
+        // Radiance refers to the exposure of the reference frame, so the response gives the radiance of its largest
+        // code value.
         let weights = reference.primaries().luminance();
         let top: f64 = (0..3).map(|c| weights[c] * f64::from(curve.exposure(c, 255.0))).sum();
         let cd_m2_per_unit = factor * top_code / top;
@@ -144,8 +145,8 @@ impl Calibration {
     }
 }
 
-/// 87 N^2 / (t S) of `frame`, from its [relative exposure](crate::bracket::exposure::Exposure::relative) with exact
-/// steps and correction, so that luminance does not depend on the choice of the reference frame.
+/// Returns 87 N^2 / (t S) of `frame`, from its [relative exposure](crate::bracket::exposure::Exposure::relative), which
+/// has exact steps and is corrected, so that luminance does not depend on the choice of the reference frame.
 fn top_code_luminance(frame: &Frame) -> Result<f64> {
     let exposure = &frame.exposure;
     let known = [("exposure time", exposure.time_s), ("f-number", exposure.f_number), ("ISO", exposure.iso)];
@@ -156,7 +157,7 @@ fn top_code_luminance(frame: &Frame) -> Result<f64> {
     Err(Error::Option {
         option: "--absolute",
         reason: format!(
-            "{}: the EXIF has no {}; measure one luminance and give --calibration-factor without --absolute, in cd/m2 per unit of radiance",
+            "{}: the EXIF has no {}; measure one luminance and give --calibration-factor (cd/m2 per unit of radiance) instead of --absolute",
             frame.path().display(),
             missing.join(" and ")
         ),
@@ -188,7 +189,7 @@ mod tests {
         Frame::new("a.jpg".into(), 1, 1, Samples::Eight(vec![0; 3]), exposure)
     }
 
-    /// A linear response has its top code at 255 / 128 of the middle one.
+    /// In a linear response the largest code value has 255 / 128 of the exposure of the middle one.
     #[test]
     fn the_top_code_is_87_by_the_exposure() {
         let camera = Calibration { camera: true, factor: None };

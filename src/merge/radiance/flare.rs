@@ -6,12 +6,12 @@
 //! most 98 %. Here the bound is computed for the whole picture at once, and used only if the picture shows flare.
 //!
 //! Flare is the picture convolved with a point spread that falls off as 1 / r^k from 2 cells on; a cell is 1/256 of the
-//! longer side. Light that is scattered less far is not estimated. No place is darker than the flare over it, so the
+//! longer side. Light that is scattered less far is not estimated. No place is darker than the flare there, so the
 //! share s of scattered light is at most the minimum of (dark parts of a cell) / (flare there for s = 1). A scene
 //! without black parts and without flare has such a minimum too, but then the dark parts do not depend on the strength
 //! of the flare. Therefore the cells are sorted into 24 bins by that strength, and flare is found if in at least 6
 //! bins, over a range of a stop, the darkest cells come close to the same share, and the share is typical of lenses. k
-//! is the exponent for which most bins do.
+//! is the exponent for which this is so in most bins.
 
 use crate::merge::radiance::statistics::{BT709, luminance};
 use crate::merge::{FLOOR, RadianceMap};
@@ -29,15 +29,15 @@ const SIZE: usize = 2 * CELLS;
 const NEAREST: f64 = 2.0;
 /// Exponents k that are tried.
 const EXPONENTS: [f64; 4] = [1.5, 2.0, 2.5, 3.0];
-/// Bins of cells by the strength of the flare.
+/// Number of bins into which cells are sorted by the strength of the flare.
 const BINS: usize = 24;
 /// Shares of the darkest values that are ignored as outliers: of the cells of a bin, and of the pixels of a cell.
 const DARKER: (f64, f64) = (0.005, 0.05);
-/// A bin supports flare if its share is within this factor of the minimum.
+/// A bin supports flare if its share of scattered light is within this factor of the minimum over all bins.
 const NEAR: f64 = 1.35;
 /// Smallest number of supporting bins.
 const FEWEST_BINS: usize = 6;
-/// Range of flare strengths that they must span, in stops.
+/// Smallest range of flare strengths that the supporting bins must span, in stops.
 const RANGE: f64 = 1.0;
 /// Shares of scattered light that are subtracted. ISO 9358 finds 0.5 to 5 % for lenses; more is haze or bright shadows.
 const SHARES: std::ops::Range<f64> = 0.002..0.1;
@@ -75,13 +75,13 @@ pub struct Cells {
 }
 
 impl Cells {
-    /// An empty statistic for a picture of `width` x `height` pixels.
+    /// Creates the statistics of a picture of `width` x `height` pixels, of which nothing is read yet.
     pub fn new(width: usize, height: usize) -> Self {
         let side = width.max(height).div_ceil(CELLS).max(1);
         Cells { side, columns: width.div_ceil(side), means: Vec::new(), dark: Vec::new() }
     }
 
-    /// Side of a cell, in pixels. [`see`](Self::see) takes a multiple of this number of rows.
+    /// Returns the side of a cell in pixels. [`see`](Self::see) takes a multiple of this number of rows.
     pub fn side(&self) -> usize {
         self.side
     }
@@ -109,7 +109,7 @@ impl Cells {
         }
     }
 
-    /// The flare of the picture, if there is any.
+    /// Returns the flare of the picture, or `None` if none is found.
     pub fn flare(self) -> Option<Flare> {
         let size = (self.columns, self.means.len() / self.columns.max(1));
         let brightest = self.means.iter().map(|&mean| luminance(mean, BT709)).fold(0.0, f32::max);
@@ -126,7 +126,7 @@ impl Cells {
         let mut best: Option<(Support, f64)> = None;
         for exponent in EXPONENTS {
             let found = support(&dark, &grey.times(&spread(exponent)).values(size));
-            // Of equals the first one, which reaches farthest.
+            // Of exponents with equal support the first is kept, with which flare reaches farthest.
             if best.as_ref().is_none_or(|(b, _)| (found.bins, found.stops) > (b.bins, b.stops)) {
                 best = Some((found, exponent));
             }
@@ -145,7 +145,7 @@ pub struct Flare {
     /// The share of scattered light.
     share: f64,
     exponent: f64,
-    /// The flare for a share of 1, for each cell.
+    /// The flare of R, G and B in each cell, for a share of 1.
     channels: [Plane<f64>; 3],
 }
 
@@ -169,7 +169,7 @@ impl Flare {
         });
     }
 
-    /// The section of the report.
+    /// Returns the section of the report.
     pub fn report(&self) -> FlareReport {
         FlareReport { scattered_fraction: self.share, falloff_exponent: Some(self.exponent) }
     }
@@ -179,7 +179,7 @@ impl Flare {
 struct Support {
     /// Upper bound of the share of scattered light.
     share: f64,
-    /// The number of bins that come close to it.
+    /// The number of bins whose share is close to that bound.
     bins: usize,
     /// The range of flare strengths of these bins, in stops.
     stops: f64,
@@ -193,7 +193,7 @@ impl Support {
 
 /// Compares the `dark` parts of the cells with the flare for a share of 1.
 fn support(dark: &Plane<f32>, flare: &Plane<f64>) -> Support {
-    // Zeros of the transform are rounded to some 1e-16 of the largest value.
+    // Where the flare is 0, the transforms leave rounding errors of some 1e-16 of the largest value.
     let least = flare.as_slice().iter().fold(0.0, |a: f64, &b| a.max(b)) * 1e-9;
     let mut cells: Vec<(f64, f64)> =
         flare.as_slice().iter().zip(dark.as_slice()).map(|(&v, &d)| (v.max(least), f64::from(d))).collect();
@@ -212,7 +212,7 @@ fn support(dark: &Plane<f32>, flare: &Plane<f64>) -> Support {
     Support { share, bins: near.len(), stops }
 }
 
-/// The point spread that falls off as 1 / r^`exponent` around the first value, with sum 1.
+/// Returns the point spread that falls off as 1 / r^`exponent` around the top left value, with sum 1.
 fn spread(exponent: f64) -> Spectrum {
     let away = |i: usize| i.min(SIZE - i) as f64;
     let at = |x: usize, y: usize| {
@@ -246,7 +246,7 @@ impl Spectrum {
         self.with(other, |a, b| (a.0 + b.0, a.1 + b.1))
     }
 
-    /// Convolution.
+    /// Returns the transform of the convolution of both pictures.
     fn times(&self, other: &Self) -> Self {
         self.with(other, |a, b| (a.0 * b.0 - a.1 * b.1, a.0 * b.1 + a.1 * b.0))
     }
@@ -256,7 +256,7 @@ impl Spectrum {
         Spectrum(Plane::from_vec(SIZE, SIZE, both.map(|(&a, &b)| op(a, b)).collect()))
     }
 
-    /// The top left part of the picture.
+    /// Returns the top left part of the picture.
     fn values(self, (width, height): (usize, usize)) -> Plane<f64> {
         let picture = transformed(transformed(self.0, -1.0), -1.0);
         let scale = 1.0 / (SIZE * SIZE) as f64;
@@ -266,7 +266,7 @@ impl Spectrum {
     }
 }
 
-/// Transforms the rows and transposes.
+/// Returns the transforms of the rows, transposed.
 fn transformed(mut plane: Plane<Complex>, sign: f64) -> Plane<Complex> {
     let roots: Vec<Complex> = (0..SIZE / 2)
         .map(|k| {
@@ -280,7 +280,8 @@ fn transformed(mut plane: Plane<Complex>, sign: f64) -> Plane<Complex> {
     })
 }
 
-/// Cooley & Tukey 1965, radix 2, in place; `roots` are the powers of the primitive root of the length.
+/// Transforms `values` in place (Cooley & Tukey 1965, radix 2); `roots` are the powers of the primitive root of the
+/// length.
 fn transform(values: &mut [Complex], roots: &[Complex]) {
     let n = values.len();
     let bits = n.trailing_zeros();
@@ -310,7 +311,7 @@ mod tests {
     use super::*;
     use crate::bracket::colour::Primaries;
 
-    /// A dark scene with bright windows, and black objects everywhere.
+    /// Returns a dark scene with bright windows, and black objects everywhere.
     fn scene(width: usize, height: usize) -> RadianceMap {
         let pixels = Plane::from_rows(width, height, |y, row: &mut [[f32; 3]]| {
             for (x, v) in row.iter_mut().enumerate() {
@@ -328,7 +329,7 @@ mod tests {
         RadianceMap { pixels, primaries: Primaries::SRGB }
     }
 
-    /// The flare by a double sum.
+    /// Returns the flare of `map` for a share of 1, by a double sum.
     fn flare(map: &Plane<[f32; 3]>, exponent: f64) -> Plane<[f64; 3]> {
         let of = |dx: i64, dy: i64| match (dx * dx + dy * dy) as f64 {
             r2 if r2 >= 4.0 => r2.powf(-0.5 * exponent),
@@ -356,8 +357,8 @@ mod tests {
         let fast = spectrum.times(&spread(2.5)).values((60, 41));
         let most = slow.as_slice().iter().fold(0.0, |a: f64, v| a.max(v[1]));
         for (a, b) in fast.as_slice().iter().zip(slow.as_slice()) {
-            // 36 roundings of sums below the energy of all values; 1e-10 of the largest is generous to double
-            // precision.
+            // The transforms round 36 times, in sums below that of all values: 1e-10 of the largest value is far above
+            // the precision of `f64`.
             assert!((a - b[1]).abs() < 1e-10 * most, "{a} for {}", b[1]);
         }
     }

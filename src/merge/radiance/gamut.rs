@@ -3,7 +3,7 @@
 //! In: a radiance map and a colour space. Out: the radiance in that space, with positive values, and the number of
 //! pixels that were outside it. Cost: 3 ns a pixel and core. Source: see [`crate::bracket::colour`].
 //!
-//! A colour outside the space has a negative component, which RGBE and most programs cannot represent. It is
+//! A colour outside the space has a negative component, which RGBE and most programs cannot represent. The colour is
 //! desaturated towards the grey of its luminance until no component is negative: luminance and hue are kept.
 
 use crate::bracket::colour::{Conversion, Primaries, Space};
@@ -29,13 +29,13 @@ pub fn into_gamut(rgb: [f32; 3], weights: [f32; 3]) -> ([f32; 3], bool) {
     (rgb.map(|c| (y + keep * (c - y)).max(FLOOR)), true)
 }
 
-/// The weights for [`into_gamut`] of these primaries.
+/// Returns the weights for [`into_gamut`] in a space with these primaries.
 pub fn weights(primaries: &Primaries) -> [f32; 3] {
     primaries.luminance().map(|w| w as f32)
 }
 
-/// Converts `map` to the space `to`, white to white, and returns the number of pixels that were desaturated. Unchanged
-/// if it is in that space already, or in an unknown one.
+/// Converts `map` to the space `to`, white to white, and returns the number of pixels that were desaturated. The map is
+/// returned unchanged if it is in the space `to` already, or in an unknown one.
 pub fn converted(mut map: RadianceMap, to: Space) -> (RadianceMap, usize) {
     let target = to.primaries();
     let Some(conversion) =
@@ -60,10 +60,10 @@ pub fn converted(mut map: RadianceMap, to: Space) -> (RadianceMap, usize) {
     (map, outside)
 }
 
-/// The warning on `outside` pixels that were desaturated.
+/// Returns the warning on `outside` pixels that were desaturated, or `None` if there are none.
 pub fn warning(outside: usize) -> Option<Warning> {
     let detail = format!(
-        "{outside} pixels have colours outside the requested colour space; they are desaturated at their luminance"
+        "{outside} pixels have colours outside the requested colour space; their saturation is reduced, their luminance is kept"
     );
     (outside > 0).then_some(Warning::OutOfGamut { detail })
 }

@@ -1,19 +1,20 @@
 //! Normalisation: one unit of radiance for many brackets, so that they can be compared and stitched.
 //!
-//! In: the relative exposure t ISO / N^2 in s of the unit, and the reference frame. Out: the factor on radiance. Cost:
-//! one multiplication a value, by [`calibration::calibrate`](crate::merge::radiance::calibration::calibrate).
+//! In: the relative exposure t ISO / N^2, in s, that radiance 1 shall refer to, and the reference frame. Out: the
+//! factor on radiance. Cost: one multiplication a value, by
+//! [`calibration::calibrate`](crate::merge::radiance::calibration::calibrate).
 //!
-//! Merged radiance r refers to the exposure h of the reference frame: 1 gives it its middle code value. So r / h does
-//! not depend on the reference frame, and r u / h is 1 for the radiance that gives the middle code value at the
-//! exposure u. Brackets with one response and one u agree within the errors of shutter, aperture and noise; with
-//! separate responses, within the difference of those.
+//! Merged radiance r refers to the exposure h of the reference frame: radiance 1 gives the frame its middle code value.
+//! So r / h does not depend on the reference frame, and r u / h is 1 for the radiance that gives the middle code value
+//! at the exposure u. Brackets with one response and one u agree within the errors of shutter, aperture and noise; with
+//! separate responses, within the difference of the responses.
 
 use crate::bracket::Frame;
 use crate::bracket::exposure::ExposureSource;
 use crate::error::{Error, Result};
 use crate::merge::radiance::calibration::Calibration;
 
-/// The option that selects it.
+/// The option that selects normalisation.
 const OPTION: &str = "--normalize";
 
 /// Checks `unit_exposure`, and that no other unit is requested.
@@ -27,19 +28,19 @@ pub fn validate(unit_exposure: f64, calibration: &Calibration) -> Result<()> {
         ));
     }
     if calibration.camera {
-        return refused("with --absolute all brackets are in cd/m2 already; remove one of the two options".into());
+        return refused("with --absolute all brackets are in cd/m2 already; remove --absolute or --normalize".into());
     }
     if calibration.is_asked() {
         return refused(
-            "--calibration-factor alone refers to the unit of one reference frame; add --absolute, or remove it".into(),
+            "--calibration-factor without --absolute refers to the unit of one reference frame; add --absolute, or remove --calibration-factor".into(),
         );
     }
     Ok(())
 }
 
 /// Checks that the exposure of `reference` can be compared with that of other brackets: it must be from EXIF. If
-/// f-number or ISO are missing in the whole bracket, as with a lens without contacts, they are assumed to be the same
-/// in all brackets.
+/// f-number or ISO are missing in the whole bracket, as with a lens without contacts, the missing values are assumed to
+/// be the same in all brackets.
 ///
 /// # Errors
 /// [`Error::Option`] if exposures were given or estimated: they are relative within the bracket only.
@@ -51,11 +52,11 @@ pub fn check(reference: &Frame) -> Result<()> {
         ExposureSource::Estimated => "estimated from the pixels",
     };
     refused(format!(
-        "the exposure of {path} is {origin} and not from EXIF, so its radiance cannot be compared with that of other brackets; merge it with {OPTION} bracket"
+        "the exposure of {path} is {origin} and not from EXIF, so its radiance cannot be compared with the radiance of other brackets; merge it with {OPTION} bracket"
     ))
 }
 
-/// The factor from radiance relative to `reference_exposure` to radiance relative to `unit_exposure`.
+/// Returns the factor from radiance relative to `reference_exposure` to radiance relative to `unit_exposure`.
 pub fn factor(unit_exposure: f64, reference_exposure: f64) -> f64 {
     unit_exposure / reference_exposure
 }

@@ -13,7 +13,7 @@ pub struct Photographed {
     /// Radiance at the middle code value of the longest exposure, which shows the shadows.
     pub longest: f64,
     /// Radiance at the middle code value of the shortest exposure, which shows the highlights. For locally processed
-    /// frames, that of a picture that shows them alike.
+    /// frames, at that of an exposure which would show the expanded highlights as bright as the shortest frame does.
     pub shortest: f64,
     /// Displayed contrast below the middle code value, in stops per stop of the scene: 1 to 1.85. Cameras increase
     /// contrast, and with it saturation.
@@ -22,13 +22,13 @@ pub struct Photographed {
     pub white_stops: f64,
 }
 
-/// Lowest code value from which the contrast is computed.
+/// Code values from which the contrast is computed: the darker half, without the darkest.
 const DARKER: std::ops::RangeInclusive<usize> = 24..=128;
-/// Largest contrast; code values with more are not made for a display (linear ones have 1.93).
+/// Smallest and largest contrast; code values with more are not made for a display (linear ones have 1.93).
 const CONTRASTS: (f64, f64) = (1.0, 1.85);
-/// Stops to white of a display curve: 2.2.
+/// Smallest and largest number of stops from the middle code value to white; sRGB has 2.2.
 const WHITES: (f64, f64) = (1.2, 6.0);
-/// The last code value that is not clipped, and white.
+/// Code value that is used as white: the last one that is not clipped.
 const LAST: usize = 254;
 
 /// The text before each number.
@@ -36,8 +36,8 @@ const WORDS: (&str, &str, &str, &str) =
     ("middle code of the photographs: radiance ", " to ", ", contrast ", ", stops to white ");
 
 impl Photographed {
-    /// For frames with these relative `exposures`; `unit` is that of the reference frame, where radiance 1 has the
-    /// middle code value. `None` without exposures.
+    /// Returns the values for frames with these relative `exposures`. `unit` is the exposure of the reference frame,
+    /// which has its middle code value at radiance 1. `None` without exposures.
     pub fn of(exposures: impl Iterator<Item = f64>, unit: f64, curve: &ResponseCurve) -> Option<Self> {
         let middles: Vec<f64> = exposures.map(|exposure| unit / exposure).filter(|m| m.is_finite()).collect();
         let longest = middles.iter().copied().min_by(f64::total_cmp)?;
@@ -45,12 +45,12 @@ impl Photographed {
         Some(Photographed { longest, shortest, contrast: contrast(curve), white_stops: white(curve) })
     }
 
-    /// The same for radiance multiplied by `factor`.
+    /// Returns the values for radiance multiplied by `factor`.
     pub fn times(self, factor: f64) -> Self {
         Photographed { longest: self.longest * factor, shortest: self.shortest * factor, ..self }
     }
 
-    /// Parses the `comments` of a header.
+    /// Parses the `comments` of a header. `None` if no comment has valid values.
     pub fn read<'a>(comments: impl IntoIterator<Item = &'a String>) -> Option<Self> {
         comments.into_iter().find_map(|comment| {
             let (_, numbers) = comment.split_once(WORDS.0)?;
@@ -68,8 +68,8 @@ impl Photographed {
     }
 }
 
-/// The slope of displayed over scene luminance on logarithmic axes, by least squares over the darker code values; 1 if
-/// code values are not made for displays.
+/// Returns the slope of displayed luminance over scene luminance on logarithmic axes, by least squares over the darker
+/// code values; 1 if the code values are not made for displays.
 fn contrast(curve: &ResponseCurve) -> f64 {
     let (mut n, mut x, mut y, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
     for (channel, code) in (0..3).flat_map(|channel| DARKER.map(move |code| (channel, code))) {
@@ -89,7 +89,7 @@ impl fmt::Display for Photographed {
     }
 }
 
-/// Stops from the middle code value to the last, as the mean of the channels.
+/// Returns the number of stops from the middle code value to the last unclipped one, as the mean of the channels.
 fn white(curve: &ResponseCurve) -> f64 {
     let stops = |c: usize| libm::log2(f64::from(curve.exposures(c)[LAST]) / f64::from(curve.exposures(c)[128]));
     ((0..3).map(stops).sum::<f64>() / 3.0).clamp(WHITES.0, WHITES.1)
@@ -119,13 +119,13 @@ mod tests {
     fn contrast_is_that_of_the_curve_over_a_display_s() {
         let of = |curve: &ResponseCurve| Photographed::of([1.0].into_iter(), 1.0, curve).unwrap().contrast;
         assert!((of(&ResponseCurve::srgb()) - 1.0).abs() < 1e-3, "{}", of(&ResponseCurve::srgb()));
-        // Light of which a display shows the power 1.5.
+        // A curve by which a display shows the power 1.5 of the light.
         let ln = |code: usize| srgb_to_linear(f64::max(code as f64, 0.5) / 255.0).ln() / 1.5;
         let steeper = ResponseCurve::new([std::array::from_fn(ln); 3]).unwrap();
         assert!((of(&steeper) - 1.5).abs() < 1e-3, "{}", of(&steeper));
         let white = |curve: &ResponseCurve| Photographed::of([1.0].into_iter(), 1.0, curve).unwrap().white_stops;
         assert!((white(&ResponseCurve::srgb()) - 2.2).abs() < 0.02 && (white(&steeper) - 2.2 / 1.5).abs() < 0.02);
-        // Codes that are light are no picture.
+        // Linear code values are not made for a display.
         assert_eq!(of(&ResponseCurve::linear()), 1.0);
     }
 }

@@ -3,9 +3,9 @@
 //! In: a bracket, its alignment and the response. Out: two radiances. Cost: the noise of the longest frame, 5 ms.
 //!
 //! The floor is the radiance at which signal and noise of the merged radiance are equal, with inverse variances as
-//! weights: 1 / sigma^2 = sum_j (dt_j / (sigma_Z dX/dZ))^2. In frames of 8 bits, JPEG and noise lift black by up to 6
-//! code values (`LIFT`), so code values up to there are not counted: their radiance is not that of the scene. In frames
-//! of 16 bits all code values above that of 0 count.
+//! weights: 1 / sigma^2 = sum_j (dt_j / (sigma_Z dX/dZ))^2, where sigma_Z is the noise of a code value. In frames of 8
+//! bits, JPEG and noise lift black by up to 6 code values (`LIFT`), so lower code values are not counted: their
+//! radiance is not that of the scene. In frames of 16 bits all code values above black count.
 
 use crate::align::Alignment;
 use crate::bracket::{Bracket, Frame};
@@ -16,7 +16,7 @@ use crate::merge::radiance::statistics::{BT709, Statistics};
 use crate::response::{CODES, ResponseCurve};
 use serde::Serialize;
 
-/// Steps per stop of the search for the floor.
+/// Number of steps per stop of the search for the floor.
 const PER_STOP: usize = 16;
 /// Range of the search below the clipping of the longest frame, in stops: more than 16 bits.
 const DEEPEST: usize = 20;
@@ -31,7 +31,7 @@ pub struct Limits {
 }
 
 impl Limits {
-    /// The limits of the merged frames of `bracket`, or `None` if no radiance is above the noise.
+    /// Returns the limits of the merged frames of `bracket`, or `None` if no radiance is above the noise.
     ///
     /// # Errors
     /// [`Error::Scratch`](crate::error::Error::Scratch) if frames are on disk and cannot be read.
@@ -63,12 +63,12 @@ impl Limits {
         Ok(floor.map(|noise_floor| Limits { noise_floor, clipping: clips(shortest) }))
     }
 
-    /// The limits in a unit that is `factor` times smaller.
+    /// Returns the limits in a unit that is `factor` times smaller.
     pub fn times(self, factor: f64) -> Limits {
         Limits { noise_floor: self.noise_floor * factor, clipping: self.clipping * factor }
     }
 
-    /// The range of `statistics` within the limits, in stops, without the darkest thousandth and the brightest
+    /// Returns the range of `statistics` within the limits, in stops, without the darkest thousandth and the brightest
     /// ten-thousandth of the pixels.
     pub fn stops(&self, statistics: &Statistics) -> f64 {
         let darkest = f64::from(statistics.p0_1).max(self.noise_floor);
@@ -77,12 +77,12 @@ impl Limits {
     }
 }
 
-/// The luminance of red, green and blue.
+/// Returns the luminance of the channel values `of(0)`, `of(1)` and `of(2)`.
 fn grey(of: impl Fn(usize) -> f64) -> f64 {
     (0..3).map(|c| f64::from(BT709[c]) * of(c)).sum()
 }
 
-/// dX/dZ at a code value.
+/// Returns dX/dZ at a code value.
 fn slope(curve: &ResponseCurve, channel: usize, code: f64) -> f64 {
     let x = curve.exposures(channel);
     let below = (code as usize).min(CODES - 2);
@@ -101,8 +101,9 @@ mod tests {
         [libm::exp2(x as f64 / 20.0 - 9.0); 3]
     }
 
-    /// By hand: of sRGB code 250 has 0.956 of the light of white and code 6 has 6 / 255 / 12.92, 9.04 stops less; the
-    /// floor is sought in sixteenths. Every stop of the bracket adds one.
+    /// By hand, for sRGB: code value 250 has 0.956 of the light of white, and code value 6 has 6 / 255 / 12.92 of it,
+    /// 9.04 stops less. The floor is found in steps of a sixteenth of a stop. Every stop between the shortest and the
+    /// longest exposure adds one.
     #[test]
     fn range_is_that_of_a_frame_and_the_span_of_the_exposures() {
         let curve = ResponseCurve::srgb();
@@ -111,7 +112,7 @@ mod tests {
             let limits = Limits::of(&bracket, &alignment, &curve).unwrap().unwrap();
             let range = libm::log2(limits.clipping / limits.noise_floor);
             assert!((range - 9.04 - span).abs() < 0.07, "{times:?}: {range}");
-            // In the unit of the radiance: the reference, which is in the middle, has its middle code at 1.
+            // In the unit of the radiance: the reference, the middle frame, has its middle code value at radiance 1.
             let clipping = f64::from(curve.exposures(0)[250]) * libm::exp2(span / 2.0);
             assert!((limits.clipping / clipping - 1.0).abs() < 1e-6, "{limits:?}");
             assert_eq!(limits.times(2.0).clipping, 2.0 * limits.clipping);
@@ -127,8 +128,8 @@ mod tests {
         assert_eq!(stops(20.0, 20.0), 0.0);
     }
 
-    /// Linear codes of 16 bits: with a noise of 2 (of 255) code 250 is 6.97 stops above it; with next to none what code
-    /// 0 means ends the range.
+    /// Linear code values of 16 bits. With a noise of 2 (of 255), code value 250 is log2(250 / 2) = 6.97 stops above
+    /// the noise. With a noise of 0.02, the range ends at the radiance of code value 0.
     #[test]
     fn averaged_codes_keep_fractions_within_their_noise() {
         let noisy = |time: f64, sigma: f64| {
@@ -142,7 +143,7 @@ mod tests {
             };
             let codes = (0..3 * 256 * 256).map(|i| {
                 let light = 4000.0 + (i / 3 % 256) as f64 * 40.0;
-                // Of four uniform numbers, of variance 1/12 each.
+                // The sum of four uniform numbers, of variance 1/12 each, is scaled to variance 1.
                 let noise: f64 = (0..4).map(|_| random()).sum::<f64>() * 3f64.sqrt();
                 (light * time + 257.0 * sigma * noise).round().clamp(0.0, 65535.0) as u16
             });
@@ -156,7 +157,7 @@ mod tests {
             let bracket = Bracket::new(frames, &ReferenceChoice::Number(1)).unwrap();
             let limits = Limits::of(&bracket, &Alignment::unmoved(&bracket), &curve).unwrap().unwrap();
             let range = libm::log2(limits.clipping / limits.noise_floor);
-            // The lower quartile of the blocks shows a tenth less than there is.
+            // The noise is measured from the lower quartile of the blocks, which is a tenth below the true noise.
             assert!((range - 2.0 - stops).abs() < 0.3, "{sigma}: {range}");
         }
     }

@@ -18,17 +18,20 @@ use crate::page::{COARSE, DRAWING, is_searched};
 use crate::plane::Plane;
 use std::fmt::Write;
 
-/// Largest width of an overlay, and the number of frames with that width; more frames share the space.
+/// Largest width of an overlay in pixels, and the largest number of frames whose overlays have this width. The overlays
+/// of more frames have together as many pixels as those of this number.
 const OVERLAY: (usize, usize) = (680, 3);
+/// Smallest width of an overlay, in pixels.
 const LEAST_OVERLAY: usize = 360;
 /// JPEG quality of an overlay.
 const EDGES: u8 = 58;
-/// Maximum number of lines between matches; more would hide each other.
+/// Largest number of lines between matches; more lines would hide each other.
 const LINES: usize = 120;
-/// Width of a keypoint drawing in units: twice the pixels of the photograph, so that half a pixel can be distinguished.
+/// Units of a drawing of keypoints or matches per pixel of its photograph; two, so that half a pixel can be
+/// distinguished.
 const UNITS: usize = 2;
 
-/// Colours of dark, bright and excluded pixels.
+/// Colours (red, green, blue, opacity) of the dark, bright and excluded pixels of a bitmap.
 const BITMAP: [[u8; 4]; 3] = [[28, 33, 40, 255], [238, 241, 244, 255], [214, 142, 48, 255]];
 
 /// The evidence for the alignment of one frame.
@@ -40,15 +43,16 @@ pub(in crate::page) struct Evidence {
     /// Difference from the bitmap of the reference; `None` for the reference.
     pub xor: Option<Xor>,
     pub overlay: Option<Overlay>,
-    /// SVG of keypoints, if features were needed, and their number: only photograph, only bitmaps, both.
+    /// SVG of the keypoints and their numbers (only in the photograph, only in its bitmaps, in both), if features were
+    /// needed.
     pub keypoints: Option<(String, [usize; 3])>,
-    /// SVG of matches, if features were needed; their number, and that of inliers.
+    /// SVG of the matches, their number and the number of inliers, if features were needed.
     pub matches: Option<(String, usize, usize)>,
-    /// Whether the photograph behind them is brightened.
+    /// Whether the photograph behind keypoints and matches is brightened.
     pub brightened: bool,
 }
 
-/// Fractions of differing pixels.
+/// Fractions of bitmap pixels that differ before and after alignment, and plots over rotation and shift.
 #[derive(Debug, Clone)]
 pub(in crate::page) struct Xor {
     pub before: f64,
@@ -64,7 +68,7 @@ pub(in crate::page) struct Overlay {
     pub has_details: bool,
 }
 
-/// Whether features were needed to align frame `i`, or another frame to it.
+/// Returns whether features were needed to align frame `i`, or to align another frame to it if it is the reference.
 pub(in crate::page) fn needs_features(alignment: &Alignment, i: usize) -> bool {
     match alignment.placements[i] {
         Placement::Reference => alignment.features.iter().any(|found| found.keypoints.is_some()),
@@ -127,7 +131,7 @@ pub(in crate::page) fn gather(
     (0..placements.len()).map(of).collect()
 }
 
-/// Returns dark, bright or excluded, by the pixel in the middle of each cell.
+/// Returns a reduced picture of the bitmaps: 0 dark, 1 bright, 2 excluded, from the pixel in the middle of each cell.
 fn three_levels(bitmaps: &FrameBitmaps) -> Plane<u8> {
     let (threshold, exclusion) = (&bitmaps.bitmaps.threshold, &bitmaps.bitmaps.exclusion);
     let full = (threshold.width(), threshold.height());
@@ -140,7 +144,7 @@ fn three_levels(bitmaps: &FrameBitmaps) -> Plane<u8> {
     })
 }
 
-/// Draws three plots with the same scale: rotation, shift to the right, shift down.
+/// Draws three plots with the same vertical scale: over rotation, shift to the right, and shift down.
 fn xor(curves: &XorCurves, is_placed: bool) -> Xor {
     let [dx, dy, angle] = curves.centre;
     let all = [&curves.by_angle, &curves.by_dx, &curves.by_dy];
@@ -152,8 +156,11 @@ fn xor(curves: &XorCurves, is_placed: bool) -> Xor {
         plot.curve("accent", curve.at.iter().zip(&curve.share).map(|(&at, &share)| (at, 100.0 * share)));
         let found = signed(at, decimals);
         plot.mark(at, &format!("{found}{unit}"));
-        let what = if is_placed { "the alignment" } else { "the bitmaps' own best" };
-        plot.finish("", &format!("Share of differing bitmap pixels against {name}; {what} is at {found}{unit}."))
+        let what = if is_placed { "the alignment" } else { "the best match of the bitmaps" };
+        plot.finish(
+            "",
+            &format!("Percentage of differing bitmap pixels, plotted over {name}; {what} is at {found}{unit}."),
+        )
     };
     Xor {
         before: curves.before,
@@ -166,7 +173,8 @@ fn xor(curves: &XorCurves, is_placed: bool) -> Xor {
     }
 }
 
-/// Returns dots as one path of round strokes, in units of the drawing.
+/// Returns SVG path data that draw a dot at each of `points`, in units of the drawing: strokes of length 0 with round
+/// ends.
 fn dots(points: impl Iterator<Item = (f64, f64)>) -> String {
     let mut path = String::new();
     for (x, y) in points {
@@ -175,7 +183,7 @@ fn dots(points: impl Iterator<Item = (f64, f64)>) -> String {
     path
 }
 
-/// Returns the start of a drawing with so many units, with a description for screen readers.
+/// Returns the start tag of an SVG drawing of `w` x `h` units, with the description `words` for screen readers.
 fn opened((w, h): (usize, usize), words: &str) -> String {
     let (ratio, words) = (w as f64 / h as f64, escape(words));
     format!(
@@ -183,13 +191,14 @@ fn opened((w, h): (usize, usize), words: &str) -> String {
     )
 }
 
-/// Returns the photograph as an SVG element for the background, at x = `left`.
+/// Returns the SVG element that draws `photograph` as the background, with its left edge at x = `left`.
 fn behind(photograph: &Picture, left: usize) -> String {
     let (w, h) = (UNITS * photograph.width, UNITS * photograph.height);
     format!(r#"<image href="{}" x="{left}" width="{w}" height="{h}" preserveAspectRatio="none"/>"#, photograph.address)
 }
 
-/// Draws keypoints in `layers` on a photograph with `scale` units per pixel of the frame; returns also their numbers.
+/// Draws the keypoints in `layers` on `photograph`, which has `scale` pixels per pixel of the frame. Returns the SVG
+/// and the number of keypoints in each layer.
 fn keypoints(layers: &[Vec<Keypoint>; 3], photograph: &Picture, scale: f64) -> (String, [usize; 3]) {
     let counts = layers.each_ref().map(Vec::len);
     let words = format!(
@@ -210,8 +219,8 @@ fn units(at: f64, scale: f64) -> f64 {
     (at + 0.5) * scale * UNITS as f64
 }
 
-/// Draws the matches between two photographs side by side with `scale` units per pixel of a frame; the reference is
-/// on the left.
+/// Draws the matches between two photographs side by side, which have `scale` pixels per pixel of a frame; the
+/// reference is on the left.
 fn matched(matching: &Matching, [reference, frame]: &[Picture; 2], scale: f64) -> String {
     let (w, h) = (UNITS * reference.width, UNITS * reference.height.max(frame.height));
     let gap = 8 * UNITS;
@@ -254,7 +263,7 @@ mod tests {
         // Every fourth match has a line; every match has two dots.
         assert_eq!((svg.matches('L').count(), svg.matches("h0").count()), (91, 722));
         assert!(svg.contains("361 matches") && svg.contains("181 agree"));
-        // By hand: (0 + 1/2) / 2 * 2 is half a unit, rounded to even; the frame begins at 416.
+        // The first match is at x = (0 + 1/2) * 0.5 * 2 = 0.5 units, rounded to even; the frame begins at 416 units.
         assert!(svg.contains("M0 6L416 10"), "{}", &svg[..900]);
     }
 }

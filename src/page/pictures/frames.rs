@@ -1,4 +1,4 @@
-//! Frames: the part of each frame that the result shows, reduced.
+//! Frames: the part of each frame that the result shows, reduced for the page.
 //!
 //! In: a frame and its transform. Out: its pixels on the grid of the result, reduced. Cost: that of resampling.
 
@@ -13,8 +13,8 @@ use rayon::prelude::*;
 /// Number of bands that are resampled at once.
 const AT_ONCE: usize = 8;
 
-/// Returns the part `region` of the reference as shown by `frame`, transformed by `warp`, in `size` pixels; black
-/// outside of the frame. It is read in bands, so that a frame on disk need not fit into memory.
+/// Resamples `frame` by `warp` to the part `region` of the reference, and reduces it to `size` pixels; black outside of
+/// the frame. The frame is read in bands, so that a frame on disk need not fit into memory.
 pub(in crate::page) fn frame(
     frame: &Frame,
     warp: &Transform,

@@ -8,31 +8,36 @@ use crate::draw::scale::{reduce_to, within};
 use crate::merge::local::LocalGain;
 use crate::plane::Plane;
 
-/// Long sides in pixels: of motion, and of the local gain, which is smooth.
+/// Largest long side of the overlay of motion, in pixels.
 const MOVEMENT: usize = 900;
+/// Largest long side of the overlay of the local gain, in pixels; the gain is smooth.
 const GAIN: usize = 200;
 
 /// Colours (red, green, blue, opacity) of places where none, some, most or all of the other frames were not merged.
 const MOVED: [[u8; 4]; 4] = [[230, 0, 126, 0], [230, 0, 126, 120], [230, 0, 126, 150], [230, 0, 126, 180]];
-/// Mask values from which on some, half, and nearly all of the frames were rejected: one of 15 is some.
+/// Smallest mask value where some of the other frames were not merged: one of 15 frames has 17.
 const FEW: u8 = 16;
+/// Smallest mask value where about half of the other frames were not merged.
 const HALF: u8 = 120;
+/// Smallest mask value where nearly all of the other frames were not merged.
 const NEARLY_ALL: u8 = 200;
-/// Colours of areas that are brighter and darker than the exposure of the frame explains, and the maximum opacity.
+/// Colour of areas that are brighter than the exposure of the frame explains.
 const BRIGHTER: [u8; 3] = [20, 110, 255];
+/// Colour of areas that are darker than the exposure of the frame explains.
 const DARKER: [u8; 3] = [255, 120, 0];
+/// Opacity of these colours for the largest gain, of 255.
 const OPAQUE: f64 = 130.0;
-/// Steps of the local gain in each direction.
+/// Number of steps of opacity for each of the two colours.
 const STEPS: i32 = 7;
 
 /// Maps of the local gain of each frame relative to the reference.
 #[derive(Debug, Clone)]
 pub(in crate::page) struct Local {
-    /// Gain of the strongest colours, in stops.
+    /// Gain that the strongest colours show, in stops.
     pub most_stops: f64,
     /// Index in `frames` of the map with the greatest gain.
     pub strongest: usize,
-    /// The index in the bracket of each frame except the reference, and its map.
+    /// For each frame except the reference, its index in the bracket and its map.
     pub frames: Vec<(usize, Picture)>,
 }
 
@@ -50,8 +55,8 @@ pub(in crate::page) fn movement(mask: &Plane<u8>) -> Result<Picture, String> {
     paletted(&Plane::from_vec(small.width(), small.height(), levels), &MOVED)
 }
 
-/// Draws the gains of the frames `placed`, by their indices in the bracket, over a picture of `size` pixels; `None`
-/// without gain.
+/// Draws the gains of the frames with the indices `placed` in the bracket, as overlays of a picture of `size` pixels;
+/// `None` if no frame has a gain.
 pub(in crate::page) fn local(
     gain: &LocalGain,
     placed: &[usize],
@@ -75,13 +80,13 @@ pub(in crate::page) fn local(
     }
     let greatest = |map: &Plane<f32>| map.as_slice().iter().fold(0.0f32, |most, v| most.max(v.abs()));
     let most = maps.iter().map(|(_, map)| greatest(map)).fold(0.0, f32::max);
-    // Of equal maps the first.
+    // Of maps with equal greatest gain, the first.
     let strongest = maps.iter().position(|(_, map)| greatest(map) >= most).unwrap_or(0);
     let frames = maps.iter().map(|(frame, map)| Ok((*frame, coloured(map, most)?)));
     Ok(Some(Local { most_stops: f64::from(most), strongest, frames: frames.collect::<Result<_, String>>()? }))
 }
 
-/// Draws `stops` in colours; the strongest colours mean `most`.
+/// Draws the gains `stops` in colours; the strongest colours show a gain of `most`.
 fn coloured(stops: &Plane<f32>, most: f32) -> Result<Picture, String> {
     let index = |v: f32| {
         let step = (v / most.max(f32::MIN_POSITIVE) * STEPS as f32).round() as i32;
@@ -91,7 +96,7 @@ fn coloured(stops: &Plane<f32>, most: f32) -> Result<Picture, String> {
     paletted(&Plane::from_vec(stops.width(), stops.height(), indices), &gain_palette())
 }
 
-/// Returns the colours from the smallest gain, where a frame is too bright, to the largest.
+/// Returns the colours from the smallest gain, where the camera had brightened the frame, to the largest.
 fn gain_palette() -> Vec<[u8; 4]> {
     let colour = |step: i32| {
         let [r, g, b] = if step < 0 { BRIGHTER } else { DARKER };
@@ -116,7 +121,7 @@ mod tests {
         let mask = Plane::from_rows(40, 20, |_, row: &mut [u8]| row[20..].fill(255));
         let picture = movement(&mask).unwrap();
         assert_eq!((pixel(&picture, 5, 5)[3], pixel(&picture, 30, 5)), (0, MOVED[3]));
-        // One rejected frame of three is also visible.
+        // A place where one of three other frames was not merged is also visible.
         let third = movement(&Plane::filled(9, 9, 85)).unwrap();
         assert_eq!(pixel(&third, 4, 4), MOVED[1]);
     }

@@ -33,12 +33,13 @@ impl Advice {
         self.names.iter().fold(self.remedy.clone(), |text, name| text.replace(name.as_str(), "FILE"))
     }
 
-    /// Adds the frames of `other` and returns true, if both warnings differ only in measured values.
+    /// If this warning and `other` differ only in frames and measured values, adds the frames of `other` and returns
+    /// true.
     fn takes(&mut self, other: &Advice) -> bool {
         if self.names.is_empty() || other.names.is_empty() || self.general() != other.general() {
             return false;
         }
-        // Measured values follow a colon or are in brackets.
+        // Measured values follow a colon or are in parentheses.
         let end = common(&self.what, &other.what);
         let is_end = |text: &str| text.is_empty() || text.trim_start().starts_with([':', '(']);
         let end = match is_end(&self.what[end..]) && is_end(&other.what[end..]) {

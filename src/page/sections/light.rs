@@ -14,11 +14,11 @@ use std::fmt::Write;
 
 /// Range of code values that a frame measures well: noise is below it, clipping above.
 const MEASURED: (usize, usize) = (8, 248);
-/// Lowest exposure that is drawn, in stops below that of code value 128; the exposure of code value 0 is not known.
+/// Lowest exposure that is drawn, in stops below the exposure of code value 128; that of code value 0 is not known.
 const DEEPEST: f64 = 12.0;
 /// Height of the row that shows the range of one frame, in px of the drawing.
 const RANGE: f64 = 20.0;
-/// Steps at both ends of the histogram with at most this fraction of the pixels are not drawn.
+/// Largest fraction of the pixels in a step of the histogram that is not drawn if the step is at an end.
 const TAIL: f64 = 2e-5;
 
 /// Returns the histogram and the response, or `None` if the frames were only aligned.
@@ -36,12 +36,12 @@ fn histogram(page: &Page, report: &Report, curve: &ResponseCurve) -> Option<Stri
     let (from, to) = (counts.iter().position(is_some)?, counts.iter().rposition(is_some)?);
     let per_stop = Page::PER_STOP as f64;
     let step = |i: usize| (*first + i as i64) as f64 / per_stop;
-    // Ratio of the unit exposure to the exposure of the reference.
+    // Ratio of the exposure that defines the unit of radiance to the exposure of the reference.
     let normalised = report.radiance.as_ref().and_then(|r| Some(r.unit_exposure_s? / r.reference_exposure));
     let unit = report.calibration.as_ref().map(|c| c.cd_m2_per_unit).or(normalised).map_or(0.0, libm::log2);
     let middle = match normalised {
-        Some(factor) if factor != 1.0 => "luminance, stops relative to the middle code value at unit exposure",
-        _ => "luminance, stops relative to the middle code value of the reference",
+        Some(factor) if factor != 1.0 => "luminance, stops relative to the middle pixel value at unit exposure",
+        _ => "luminance, stops relative to the middle pixel value of the reference",
     };
     let stops = stops_over_reference(report);
     let measured = |code: usize, ev: f64| libm::log2(f64::from(curve.exposures(1)[code])) - ev + unit;
@@ -85,7 +85,7 @@ fn histogram(page: &Page, report: &Report, curve: &ResponseCurve) -> Option<Stri
     let bounds = report.radiance.as_ref().map_or_else(String::new, |m| {
         let pixels = (report.crop.width_px * report.crop.height_px).max(1) as f64;
         format!(
-            " {} of the pixels are clipped even in the shortest frame, and {} are black even in the longest. There only a bound of the radiance is known.",
+            " {} of the pixels are clipped even in the shortest frame, and {} are black even in the longest. There the radiance is only known to be above or below a limit.",
             percent(m.all_clipped as f64 / pixels),
             percent(m.all_black as f64 / pixels)
         )
@@ -93,7 +93,7 @@ fn histogram(page: &Page, report: &Report, curve: &ResponseCurve) -> Option<Stri
     Some(format!(
         "<figure class=\"plots wide\">\n{}<figcaption><b>Brightness range of the scene, and the frames that cover it.</b> \
          Above: the luminance of the pixels, in quarters of a stop. Below: the range that each frame (EV relative to the \
-         reference) measures with code values {} to {}. Every column should have a bar below it; without one the \
+         reference) measures with pixel values {} to {}. Every column should have a bar below it; without one the \
          values are unreliable. There should be no gap between the bars.{bounds}</figcaption>\n</figure>\n",
         plot.finish("big", &words),
         MEASURED.0,
@@ -108,9 +108,9 @@ fn response(report: &Report, curve: &ResponseCurve) -> String {
     let all = || (0..3).map(|c| curve.ln_exposure(c)).chain([srgb.ln_exposure(1)]);
     let low = all().map(|g| stops(g[1])).fold(f64::MAX, f64::min).max(-DEEPEST);
     let high = all().map(|g| stops(g[CODES - 1])).fold(f64::MIN, f64::max);
-    let x = Axis::at(0.0, 255.0, [0, 64, 128, 192, 255], "code value");
+    let x = Axis::at(0.0, 255.0, [0, 64, 128, 192, 255], "pixel value");
     let mut plot =
-        Figure::new((520.0, 340.0), 0.0, x, Axis::round(low, high, 8, "exposure, stops relative to code value 128"));
+        Figure::new((520.0, 340.0), 0.0, x, Axis::round(low, high, 8, "exposure, stops relative to pixel value 128"));
     let points = |g: &[f64; CODES]| {
         let deep = |z: &usize| stops(g[*z]) >= -DEEPEST;
         (0..CODES).filter(deep).map(|z| (z as f64, stops(g[z]))).collect::<Vec<_>>()
@@ -125,7 +125,7 @@ fn response(report: &Report, curve: &ResponseCurve) -> String {
         .map_or_else(String::new, |why| format!(" The requested response model was not used: {}.", escape(why)));
     let svg = plot.finish(
         "",
-        "The camera's response: exposure in stops against code value, for red, green and blue, with the sRGB curve.",
+        "The camera response: exposure in stops, plotted over the pixel value, for red, green and blue, with the sRGB curve.",
     );
     format!(
         "<figure class=\"plots beside\">\n{svg}<figcaption><b>Camera response</b>, model \

@@ -37,7 +37,7 @@ pub(in crate::page) fn frames(page: &Page, report: &Report) -> String {
             Status::Reference => "the reference",
             Status::Unmoved => "as photographed",
             Status::Aligned | Status::Assumed => "aligned",
-            Status::Rejected | Status::Excluded | Status::Flash => "not used, shown as photographed",
+            Status::Rejected | Status::Excluded | Status::Flash => "not used, shown without alignment",
         };
         let ghosts =
             report.ghosts.iter().flat_map(|g| &g.frames).find(|g| g.path == frame.path && g.ghost_fraction > 0.0);
@@ -135,7 +135,7 @@ fn compare(overlay: &Overlay, name: &str) -> String {
     };
     let ratio = overlay.before.width as f64 / overlay.before.height as f64;
     let details = match overlay.has_details {
-        true => " Below, the three boxed areas at 200\u{a0}%, where half a pixel is visible.",
+        true => " Below: the three marked areas at 200\u{a0}%, where an error of half a pixel is visible.",
         false => "",
     };
     format!(
@@ -187,7 +187,7 @@ fn comparison(frame: &FrameReport) -> String {
     out + "</dl>\n"
 }
 
-/// Returns the plots of the bitmap difference against rotation and shift.
+/// Returns the plots of the bitmap difference over rotation and shift.
 fn curves(xor: &Xor, frame: &FrameReport) -> String {
     let [angle, dx, dy] = &xor.plots;
     let about = if frame.alignment.status.rejected_by().is_some() {
@@ -196,7 +196,7 @@ fn curves(xor: &Xor, frame: &FrameReport) -> String {
         "the motion found"
     };
     format!(
-        "<figure class=\"plots\">\n<div class=\"row\">{angle}{dx}{dy}</div>\n<figcaption><b>Bitmap difference against \
+        "<figure class=\"plots\">\n<div class=\"row\">{angle}{dx}{dy}</div>\n<figcaption><b>Bitmap difference, plotted over \
          rotation and shift.</b> Of the pixels that count in both bitmaps {} differ before alignment and {} with {about} \
          (dashed line). Each curve varies one parameter and keeps the other two. A sharp minimum at the line confirms \
          the alignment. Check the frame if the curve is flat or has its minimum elsewhere.</figcaption>\n</figure>\n",

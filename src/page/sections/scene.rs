@@ -7,7 +7,7 @@ use crate::page::Page;
 use crate::page::markup::{file_name, img, percent, signed};
 use crate::report::Report;
 
-/// Returns the area excluded from each frame because of movement, or `None` without deghosting.
+/// Returns the share of the picture where each frame is not used because of movement, or `None` without deghosting.
 pub(in crate::page) fn moved(report: &Report) -> Option<String> {
     let ghosts = report.ghosts.as_ref()?;
     let row = |frame: &crate::merge::deghost::GhostFrame| {
@@ -43,7 +43,7 @@ pub(in crate::page) fn processed(page: &Page, report: &Report) -> Option<String>
          <span class=\"key brighter\"></span> \
          brightened by the phone, <span class=\"key darker\"></span> darkened by it. The strongest colours are \
          {:.1} stops. Exposure steps appear \
-         in the pixels at {} of their size. Large differences of brightness were expanded by {:.2} on average.</p>\n<div class=\"grid\">\n{cards}</div>\n",
+         in the pixels at {} of their size. On average, one stop in a frame stands for {:.2} stops in the scene.</p>\n<div class=\"grid\">\n{cards}</div>\n",
         local.most_stops,
         percent(found.exposure_step_fraction),
         found.expansion

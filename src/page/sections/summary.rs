@@ -103,13 +103,13 @@ fn named(name: &str) -> (usize, String, &'static str) {
     let known = NAMES.iter().position(|(key, ..)| *key == name);
     match (known, name.strip_prefix("operator, ")) {
         (Some(at), _) => (at, NAMES[at].1.to_owned(), NAMES[at].2),
-        // Same position as the name of the operator.
+        // A parameter has the position of the operator's name in NAMES, 1.
         (None, Some(key)) => (1, format!("Tone mapping, {key}"), "--tmo-set"),
         (None, None) => (NAMES.len(), name.to_owned(), ""),
     }
 }
 
-/// Returns the table of the time of each stage; `page_s` is the time for this page in seconds.
+/// Returns a table with the time of each stage; `page_s` is the time for this page in seconds.
 pub(in crate::page) fn times(report: &Report, page_s: f64) -> String {
     let mut out = String::from("<table class=\"times\">\n");
     let times = &report.time_s;

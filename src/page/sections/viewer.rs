@@ -12,7 +12,7 @@ use crate::page::{Page, frame_css};
 use crate::report::Report;
 use std::fmt::Write;
 
-/// Maximum number of buttons that go to a region of movement.
+/// Largest number of buttons that each show a region of movement.
 const REGIONS: usize = 5;
 
 /// Returns the viewer of the `result`, or of the frames if there is no result.
@@ -24,7 +24,7 @@ pub(in crate::page) fn viewer(page: &Page, report: &Report, result: Option<&Pict
         None => (" hidden", String::new(), ""),
     };
     let (layers, switches) = overlays(page, report);
-    // The zoom of 100 % is relative to this width.
+    // At a zoom of 100 %, the picture has this width in pixels of the screen.
     let held = result.or(page.frames.first().map(|frame| &frame.photograph));
     let width = held.map_or(crop.width_px, |picture| picture.width);
     format!(
@@ -68,7 +68,7 @@ fn choices(report: &Report, has_result: bool) -> String {
     out + "</fieldset>\n"
 }
 
-/// Formats stops with one decimal, or with none if that is zero.
+/// Formats stops with one decimal, or without decimals if that one is zero.
 fn short(stops: f64) -> String {
     let words = signed(stops, 1);
     words.strip_suffix(".0").map_or_else(|| words.clone(), str::to_owned)
@@ -112,7 +112,7 @@ fn overlays(page: &Page, report: &Report) -> (String, String) {
         layers += &layer(picture, "gain", "Overlay: where the phone brightened and darkened the frame.");
         let words = format!(
             "<span class=\"key brighter\"></span> brightened by the phone, <span class=\"key darker\"></span> \
-             darkened, by up to {:.1} stops relative to the reference. Over the result, the overlay is that of {}.",
+             darkened, by up to {:.1} stops relative to the reference. Over the result, the overlay of {} is shown.",
             local.most_stops,
             report.frames.get(*frame).map_or_else(String::new, |frame| file_name(&frame.path))
         );
@@ -127,7 +127,7 @@ fn overlays(page: &Page, report: &Report) -> (String, String) {
     }
 }
 
-/// Describes the size of the pictures on the page compared with the files.
+/// Describes how the size of the pictures on the page differs from that of the files.
 fn caption(page: &Page, report: &Report, result: Option<&Picture>) -> String {
     let crop = &report.crop;
     let mut words = String::new();
@@ -138,7 +138,7 @@ fn caption(page: &Page, report: &Report, result: Option<&Picture>) -> String {
         });
         words += &match result.width == crop.width_px {
             true => format!(
-                "The result is shown with all its {} × {} pixels: 100\u{a0}% is that of the file.",
+                "The result is shown with all its {} × {} pixels: 100\u{a0}% here is 100\u{a0}% of the file.",
                 crop.width_px, crop.height_px
             ),
             false => format!(

@@ -8,8 +8,9 @@ use crate::merge::local::LocalReport;
 use crate::page::markup::{escape, file_name, percent, signed};
 use crate::report::{FrameReport, Report};
 
-/// Alignment errors in px: below the first the result shows no difference; above the second fine detail may be blurred.
+/// Alignment error below which the result shows no difference, in px.
 const UNSEEN_PX: f64 = 0.3;
+/// Alignment error above which fine detail may be blurred, in px.
 const SOFT_PX: f64 = 1.0;
 /// Smallest fraction of the picture that is reported.
 const WORTH: f64 = 0.005;
@@ -50,7 +51,7 @@ fn reference(report: &Report) -> String {
     named(with(report, Status::Reference))
 }
 
-/// Describes how many frames were merged, and which were left out and why.
+/// Describes how many frames were merged, and which were not merged and why.
 fn frames(report: &Report) -> String {
     let taken: Vec<&FrameReport> = report.frames.iter().filter(|f| f.alignment.rejected_by.is_none()).collect();
     let (count, all) = (taken.len(), report.frames.len());
@@ -125,10 +126,12 @@ fn alignment(report: &Report) -> String {
     let count = assumed.clone().count();
     if count > 0 {
         words += &format!(
-            " {} {} too dark or too bright to be aligned. The position was inferred from the other frames, and the pixels \
-             are used only where those show nothing.",
+            " {} {} too dark or too bright to be aligned. {} position was estimated from the other frames, and {} used only \
+             where the other frames are clipped or black.",
             named(assumed),
-            if count == 1 { "is" } else { "are" }
+            if count == 1 { "is" } else { "are" },
+            if count == 1 { "Its" } else { "Their" },
+            if count == 1 { "it is" } else { "they are" }
         );
     }
     if let Some(path) = &report.transforms_from {
@@ -142,7 +145,7 @@ fn crop(report: &Report) -> Option<String> {
     let all = report.width_px * report.height_px;
     let share = 1.0 - (report.crop.width_px * report.crop.height_px) as f64 / all.max(1) as f64;
     let why = match report.options.as_ref().map_or("common", |options| &options.crop) {
-        "common" => "because not every frame covers it. <code>--crop none</code> keeps it.",
+        "common" => "because not every frame covers this part. <code>--crop none</code> keeps it.",
         _ => "as set by <code>--crop</code>.",
     };
     (share > WORTH).then(|| format!("{} of the reference was cut off, {why}", percent(share)))
@@ -168,7 +171,7 @@ fn movement(report: &Report) -> Option<String> {
     );
     if ghosts.continued_fraction > 0.0 {
         words += &format!(
-            " In {} that is clipped; it was filled in from the surroundings.",
+            " In {} of the picture the reference frame is clipped there; these places were filled in from their surroundings.",
             percent(ghosts.continued_fraction)
         );
     }
@@ -199,7 +202,7 @@ fn exposures(report: &Report) -> Option<String> {
             "Estimated from the pixels, because the files do not record them. Set them with <code>-e</code>.".to_owned()
         }
         _ => format!(
-            "Those of {} were estimated from the pixels. Set them with <code>-e</code>.",
+            "The exposures of {} were estimated from the pixels. Set them with <code>-e</code>.",
             named(of(ExposureSource::Estimated))
         ),
     };
@@ -208,7 +211,7 @@ fn exposures(report: &Report) -> Option<String> {
     let corrected = report.frames.iter().filter(is_corrected);
     let most = corrected.clone().map(|f| f.exposure_correction_stops.abs()).fold(0.0, f64::max);
     if most > 0.0 {
-        words += &format!(" Corrected by up to {most:.1} stops to match the pixels: {}.", named(corrected));
+        words += &format!(" These were corrected by up to {most:.1} stops to match the pixels: {}.", named(corrected));
     }
     Some(words)
 }
@@ -223,12 +226,16 @@ fn response(report: &Report) -> Option<String> {
                 .into()
         }
         (Some(why), model) => {
-            format!("Its response could not be measured ({}): <code>{}</code> was used.", escape(why), escape(model))
+            format!(
+                "The camera response could not be measured ({}): <code>{}</code> was used.",
+                escape(why),
+                escape(model)
+            )
         }
-        (None, "file") => "Its response was read from the given file.".into(),
-        (None, "linear") => "Pixel values were taken as proportional to the light.".into(),
-        (None, "srgb") => "Pixel values were taken as sRGB.".into(),
-        (None, _) => "Its response to light was measured from the frames themselves.".into(),
+        (None, "file") => "The camera response was read from the given file.".into(),
+        (None, "linear") => "Pixel values were assumed to be proportional to the light.".into(),
+        (None, "srgb") => "Pixel values were assumed to be sRGB.".into(),
+        (None, _) => "The camera response was measured from the frames themselves.".into(),
     })
 }
 

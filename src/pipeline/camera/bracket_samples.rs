@@ -1,7 +1,7 @@
 //! Samples of the brackets of one camera, one after the other.
 //!
-//! In: the photographs of each bracket. Out: its flat places, so many that all brackets together fit into memory, and
-//! its part of the report. Cost: loading and aligning.
+//! In: the photographs of each bracket. Out: for each bracket samples of its flat places, limited so that those of all
+//! brackets fit into memory, and its section of the report. Cost: loading and aligning.
 
 use super::super::stages::Run;
 use super::super::threads::in_pool;
@@ -25,16 +25,17 @@ pub(super) struct BracketSamples {
     pub path: PathBuf,
     pub capture: Capture,
     pub places: Places,
-    /// For files whose format does not represent a curve exactly.
+    /// Pixels from which the loss by formats that do not represent a curve exactly is computed; `None` if there are no
+    /// such files.
     pub miniature: Option<Miniature>,
     pub report: BracketReport,
 }
 
-/// Returns all `brackets` that can be used, at least one.
+/// Returns the data of all `brackets` that can be used, at least of one.
 ///
 /// # Errors
-/// That of the first bracket that cannot be used; if such brackets are skipped, [`Error::NoResponse`] if none is
-/// left, and [`Error::Scratch`], which is not a fault of a bracket.
+/// The error of the first bracket that cannot be used. If such brackets are skipped: [`Error::NoResponse`] if none is
+/// left, [`Error::Scratch`] and [`Error::Cancelled`], which no bracket causes.
 pub(super) fn collect(
     brackets: &[Vec<PathBuf>],
     options: &Options,
@@ -63,11 +64,12 @@ pub(super) fn collect(
         let Some(Warning::BracketLeftOut { path, reason }) = left_out.into_iter().next() else {
             return Err(Error::TooFewFrames { given: 0 });
         };
-        let reason = format!("none of its {} brackets can be used; the first: {reason}", brackets.len());
+        let reason = format!("none of the {} brackets can be used; the first one: {reason}", brackets.len());
         return Err(Error::NoResponse { path, reason });
     }
     if left_out.is_empty() && found_given < options.pipeline.align.given.len() {
-        let reason = "a photograph named there is in no bracket".to_owned();
+        let reason = "one of the photographs named by these options is in no bracket; name photographs of the brackets"
+            .to_owned();
         return Err(Error::Option { option: "--leave-out or --unmoved", reason });
     }
     warnings.extend(left_out);
@@ -75,8 +77,8 @@ pub(super) fn collect(
     Ok((collected, warnings))
 }
 
-/// Processes the bracket `paths` of `brackets`. Returns also the number of transforms given by the user for its
-/// frames, and its warnings.
+/// Processes the bracket `paths`, one of `brackets` brackets. Returns also the number of transforms that the user gave
+/// for its frames, and its warnings.
 fn one(
     paths: &[PathBuf],
     brackets: usize,

@@ -9,7 +9,8 @@ use crate::limits::Limits;
 use crate::pipeline::files::names::natural;
 use std::path::{Path, PathBuf};
 
-/// Groups `images` by folder, in the order of the first of each; of a folder, all photographs in it, by name.
+/// Groups photographs by folder, in the order in which the folders first occur in `images`. A folder in `images` stands
+/// for all photographs in it, sorted by name.
 pub(super) fn brackets(images: &[PathBuf]) -> Result<Vec<Vec<PathBuf>>> {
     let mut found: Vec<(PathBuf, Vec<PathBuf>)> = Vec::new();
     for image in images {
@@ -36,7 +37,7 @@ pub(super) fn brackets(images: &[PathBuf]) -> Result<Vec<Vec<PathBuf>>> {
     Ok(found.into_iter().map(|(_, bracket)| bracket).collect())
 }
 
-/// Returns the photographs in `folder`, by extension and sorted by name, without results of hdralign.
+/// Returns the files in `folder` that have the extension of a photograph, sorted by name, without results of hdralign.
 fn photographs(folder: &Path) -> Result<Vec<PathBuf>> {
     let unreadable = |source| Error::Read { path: folder.to_owned(), source };
     let entries = std::fs::read_dir(folder).map_err(unreadable)?;

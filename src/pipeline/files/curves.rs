@@ -12,11 +12,12 @@ use crate::response::file::{Format, SavedResponse};
 use crate::write::{self, Written};
 use std::path::{Path, PathBuf};
 
-/// Number of pixels for which the loss is computed, of all brackets together, and the smallest of one: a hundredth of
-/// them is still 160.
+/// Number of pixels for which the loss is computed: (in all brackets together, at least in one bracket). A hundredth of
+/// the first number is still 160 pixels.
 const PIXELS: (usize, usize) = (16384, 256);
 
-/// Returns the data for the loss of the files `paths` by one of `brackets` brackets; `None` if the formats are exact.
+/// Returns pixels of `bracket`, one of `brackets` brackets, from which the loss by the files `paths` is computed;
+/// `None` if their formats are exact.
 pub(crate) fn miniature(
     paths: &[PathBuf],
     bracket: &Bracket,
@@ -31,11 +32,11 @@ pub(crate) fn miniature(
     Miniature::of(bracket, alignment, pixels)
 }
 
-/// Returns the file `path` of the curve `saved`, which was recovered from brackets with these `miniatures`.
+/// Writes the curve `saved`, which was recovered from brackets with these `miniatures`, to the file `path`.
 ///
 /// # Errors
-/// Those of [`SavedResponse::encode`] and of writing; [`Error::ResponseFormat`](crate::error::Error::ResponseFormat)
-/// if radiance merged with it would not be even roughly right.
+/// Those of [`SavedResponse::encode`] and of writing; [`Error::ResponseFormat`](crate::error::Error::ResponseFormat) if
+/// radiance merged with this file would not be even roughly right.
 pub(crate) fn written(saved: &SavedResponse, path: &Path, miniatures: &[&Miniature]) -> Result<Written> {
     let encoded = saved.encode(path)?;
     let warning = match encoded.curve == saved.curve {

@@ -59,8 +59,10 @@ pub(super) fn check(images: &[PathBuf], options: &Options) -> Result<()> {
     write::check_targets(&targets(images, options)?, &sources(images, options), options.write.overwrite)
 }
 
-/// Returns `options` with the reference and the placements of the file of transforms, and that file, if it exists;
-/// then none is written. A reference chosen by the user is kept.
+/// Returns `options` and, if the file of transforms exists, its path and content.
+///
+/// The options then have the placements of this file and, unless the user has chosen a reference, its reference. They
+/// no longer name the file, so that it is not written.
 pub(super) fn with_transforms(
     images: &[PathBuf],
     options: &Options,

@@ -53,7 +53,7 @@ pub(crate) fn fused(
 }
 
 impl Fused<'_> {
-    /// Returns the codes 0..=1 of merged frame `k`, -1 outside of it.
+    /// Returns the codes of merged frame `k`, 0..=1; -1 outside of the frame.
     fn codes(&self, k: usize) -> Result<Channels> {
         let region = self.aligned.region;
         let (width, height) = (region.width(), region.height());
@@ -70,10 +70,12 @@ impl Fused<'_> {
         Ok(planes)
     }
 
-    /// Returns the same for some rows of the region. Where something moved, the codes are those that the frame would
-    /// show of the next frame towards the reference, which is treated likewise, and of the continuation where the
-    /// reference is clipped. A weight of 0 would not be enough: the coarse levels of the pyramids extend motion
-    /// beyond its borders.
+    /// Returns the codes of merged frame `k` in some rows of the region.
+    ///
+    /// Where something moved, the codes of the frame are replaced by those that it would have for the radiance of the
+    /// next frame towards the reference, in which motion is replaced in the same way. If the frame is darker than the
+    /// reference, this radiance is first completed by [`Ghosts::fill`] where the reference is clipped. A weight of 0
+    /// instead would not be enough: the coarse levels of the pyramids extend motion beyond its borders.
     fn rows(&self, k: usize, rows: Range<usize>) -> Result<Vec<[f32; 3]>> {
         let (Fused { aligned, placed, .. }, region) = (self, self.aligned.region);
         let (_, frame, warp) = &placed[k];
@@ -83,7 +85,7 @@ impl Fused<'_> {
         let mut codes = vec![[0.0f32; 3]; columns.len() * lines.len()];
         resample_rows(&window, warp, columns, lines, &mut codes);
         for code in &mut codes {
-            // Overshoot of the kernel must not become negative, which means outside.
+            // A negative code means outside, so overshoot of the kernel below 0 is clamped.
             *code = if code[0] == OUTSIDE { [-1.0; 3] } else { code.map(|c| (c / 255.0).clamp(0.0, 1.0)) };
         }
         let reference = placed.iter().position(|(i, _, _)| *i == aligned.bracket.reference_index()).unwrap_or(k);
@@ -162,8 +164,8 @@ mod tests {
         let aligned = Aligned { bracket, alignment, region };
         let fused = fused(&aligned, &curve, Some(&ghosts), &fusion::Options::default(), Colours::Srgb).unwrap();
         for c in 0..3 {
-            // Rounding of the codes from which the sky is continued, and of sums over the levels. Without deghosting,
-            // the reference's white has codes 99 of 158.
+            // The tolerance covers the rounding of the codes from which the sky is continued, and of sums over the
+            // levels. Without deghosting, the code at the mover is 99, and 158 in the sky around it.
             let (found, around) = (255.0 * fused[c].at(120, 90), 255.0 * fused[c].at(20, 90));
             assert!((found - around).abs() < 2.0, "channel {c}: {found} in {around}");
         }

@@ -55,7 +55,7 @@ impl<'a> Run<'a> {
         Run { options, watch, stage: None, transforms_from: None, began, times, warnings, page: None }
     }
 
-    /// Adds a page, if the report is one.
+    /// Adds a report page, if the requested report is HTML.
     pub fn with_page(mut self) -> Self {
         let is_page = |path: &&PathBuf| report::Format::of(path).is_ok_and(|format| format == report::Format::Html);
         self.page = self.options.report.as_ref().filter(is_page).map(|path| Page::new(path));
@@ -78,10 +78,10 @@ impl<'a> Run<'a> {
         Ok(Instant::now())
     }
 
-    /// Loads the bracket `images`, for these `stages`.
+    /// Loads the bracket `images`; memory is planned for these `stages`.
     pub fn load(&mut self, images: &[PathBuf], stages: &Stages) -> Result<Bracket> {
         let began = self.begin(Stage::Load)?;
-        // Runs are cancelled between stages only.
+        // The answer is ignored, because runs are cancelled between stages only.
         let decoded = |done| {
             let _ = (self.watch)(Progress::Decoded(done));
         };
@@ -98,7 +98,7 @@ impl<'a> Run<'a> {
         let (bracket, alignment, warnings) = reference::align(bracket, self.options)?;
         self.times.align = Some(began.elapsed().as_secs_f64());
         if bracket.reference_index() != loaded {
-            // Profiles are compared with that of the reference.
+            // These warnings compare profiles with that of the reference, which is another frame now.
             self.warnings.retain(|warning| !matches!(warning, Warning::ProfilesDiffer { .. }));
             self.warnings.extend(bracket::differing_profiles(&bracket));
         }

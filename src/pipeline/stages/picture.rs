@@ -1,6 +1,6 @@
 //! The picture: computes its rows with all requested adjustments.
 //!
-//! In: radiance, or the fused frames. Out: codes of rows. Cost: one pass over all of it, and over a part of it to
+//! In: radiance, or the fused frames. Out: codes of rows. Cost: one pass over the input, and one over a part of it to
 //! estimate the white balance; then that of the operator and of the adjustments.
 
 use crate::bracket::colour::{Primaries, srgb_to_linear};
@@ -17,7 +17,8 @@ use crate::tonemap::tones::Tones;
 use crate::write::picture::Options;
 use rayon::prelude::*;
 
-/// Calls a function with all of the radiance, part by part, with the number of the first row; may be called again.
+/// Function that passes all of the radiance to a callback, part by part, with the index of the part's first row; it may
+/// be called repeatedly.
 pub(crate) type Each<'a> = &'a dyn Fn(&mut dyn FnMut(usize, &RadianceMap) -> Result<()>) -> Result<()>;
 
 /// A picture whose rows can be computed.
@@ -40,7 +41,7 @@ enum Source {
 const SHOWN_ROWS: usize = 16;
 
 impl Picture {
-    /// Creates the picture of the radiance that `each` passes, with this size and these primaries, by `operator`.
+    /// Creates the picture, by `operator`, of the radiance that `each` passes, which has this size and these primaries.
     ///
     /// # Errors
     /// Those of `each`, and of a spot that is not grey.
@@ -153,7 +154,7 @@ impl Picture {
         }
     }
 
-    /// Computes the codes of many rows in parallel.
+    /// Computes the codes of many rows in parallel, like [`map`](Self::map).
     pub fn show<C: Code>(
         &self,
         encoder: &Encoder,
@@ -168,9 +169,9 @@ impl Picture {
     }
 }
 
-/// Number of pixels from which the mean colour of a picture is estimated.
+/// Number of pixels that are enough to estimate the mean colour of a picture.
 const ENOUGH_PIXELS: usize = 1 << 18;
-/// Largest step between the rows that are used for it.
+/// Largest distance between the rows from which the mean colour is estimated, in rows.
 const MOST_STEP: usize = 8;
 
 /// Returns the light to be shown as white in a picture of `size` pixels, if it is not that of the photographs;
@@ -189,7 +190,7 @@ fn white(
     }
 }
 
-/// Codes of fused frames that are black (at or below), and white (at or above).
+/// Fused frames are black at or below the first of these codes, and white at or above the second.
 const CODE_ENDS: [f64; 2] = [3.0, 253.5];
 
 impl Source {
@@ -283,7 +284,8 @@ mod tests {
         }
     }
 
-    /// With a temperature, with a spot, and in part with an estimate, grey is grey for every operator.
+    /// With a given light, or with a spot, the grey card is grey for every operator; with an estimate, it is less
+    /// coloured than without.
     #[test]
     fn card_is_grey_in_its_light_for_every_operator() {
         let card = |pictures: &[Vec<[f32; 3]>]| -> Vec<f32> {
@@ -309,7 +311,8 @@ mod tests {
         for k in 0..plain.len() {
             assert!(plain[k] > 0.3, "{k}: {}", plain[k]);
             assert!(by_spot[k].abs() < 0.02, "{k}: {}", by_spot[k]);
-            // Fused frames went through a curve: the light of the radiance is not that of the picture.
+            // The codes of the fused frames went through a curve, so the light of the radiance is not white in their
+            // picture.
             assert!(k == plain.len() - 1 || by_light[k].abs() < 0.02, "{k}: {}", by_light[k]);
             assert!(by_itself[k].abs() < 0.85 * plain[k], "{k}: {} of {}", by_itself[k], plain[k]);
         }

@@ -41,8 +41,8 @@ pub(crate) struct Radiance {
     pub calibration: Option<CalibrationReport>,
 }
 
-/// Merges the frames, and converts their radiance to the colour space and the unit of the results. The warning is
-/// about colours outside of that space.
+/// Merges the frames, and converts their radiance to the colour space and the unit of the results. The warning is about
+/// colours outside of this colour space.
 pub(crate) fn merged(
     Aligned { bracket, alignment, region }: &Aligned,
     camera: &Camera,
@@ -119,22 +119,23 @@ fn found(rows: &RadianceRows) -> Result<Option<Flare>> {
     Ok(cells.flare())
 }
 
-/// The number of rows of radiance in memory.
+/// The number of rows of radiance that are in memory at a time.
 enum Room {
     /// All rows.
     Enough,
-    /// So many; the others are in this file.
+    /// At most this number; all rows are written to this file.
     Rows(usize, Arc<Scratch>),
 }
 
 impl Room {
-    /// Chooses by the memory that the `bracket` leaves for radiance of this size.
+    /// Chooses the number of rows by the memory that the `bracket` leaves for radiance of this size.
     fn of(bracket: &Bracket, (width, height): (usize, usize), options: &Options) -> Room {
         let (Some(scratch), Some(budget)) = (bracket.scratch(), bracket.budget()) else { return Room::Enough };
-        // A row of all frames, a little more for frames that moved; of radiance; and of the picture.
+        // Bytes of a row of all frames, a quarter more for frames that moved; of a row of radiance; and of a row of the
+        // picture.
         let row = bracket.frames().len() as u64 * bracket.reference().row_bytes() * 5 / 4 + 24 * width as u64;
         let rows = (budget.slab(rayon::current_num_threads()) / row) as usize;
-        // Complete bands, and complete cells of the flare estimate.
+        // Parts consist of complete bands, or of complete cells of the flare estimate.
         let unit = if options.flare { flare::Cells::new(width, height).side() } else { BAND_ROWS };
         Room::Rows((rows / unit * unit).max(unit), scratch.clone())
     }
@@ -153,8 +154,8 @@ enum Store {
 }
 
 impl RadianceRows {
-    /// Merges all rows. Returns also the numbers of pixels whose radiance is only a bound: clipped in all frames, or
-    /// black in all.
+    /// Merges all rows. Returns also the numbers of pixels whose radiance is only a bound: those clipped in all frames,
+    /// and those black in all frames.
     fn merged(merging: &Merging, room: &Room) -> Result<(Self, (usize, usize))> {
         let (width, height) = merging.size();
         let mut bounds = (0, 0);
@@ -188,7 +189,7 @@ impl RadianceRows {
         self.size
     }
 
-    /// Its primaries.
+    /// The primaries of the radiance.
     pub fn primaries(&self) -> Primaries {
         self.primaries
     }

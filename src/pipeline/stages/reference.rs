@@ -22,12 +22,12 @@ pub(crate) struct Aligned {
     pub region: Rect,
 }
 
-/// Number of references that are tried after the first.
+/// Largest number of other references that are tried after the first.
 const OTHERS: usize = 2;
-/// Confidence of frames that count for another reference: if parallax makes every transform uncertain, the first
-/// reference is still the best.
+/// Least confidence with which a frame counts in favour of another reference. If parallax makes every transform
+/// uncertain, no frame counts, and the first reference is kept: it is still the best.
 const SURE: f64 = 0.8;
-/// The same if no frame is aligned to the first reference.
+/// Replaces [`SURE`] if no frame is aligned to the first reference.
 const LIKELY: f64 = 0.5;
 
 /// Aligns `bracket`. Returns it with the reference to which it was aligned.
@@ -39,12 +39,12 @@ pub(crate) fn align(mut bracket: Bracket, options: &Options) -> Result<(Bracket,
     if !is_open(options) {
         return Ok((bracket, alignment, warnings));
     }
-    // A frame that was aligned to a reference shows the same scene, and is not tried itself.
+    // A frame that was aligned to a reference shows the same scene, and need not be tried as the reference.
     let mut done: Vec<bool> = excluded(&bracket, options);
     for _ in 0..OTHERS {
         let placed = count(&bracket, &alignment, 0.0);
         let among = bracket.frames().len() - excluded(&bracket, options).iter().filter(|&&out| out).count();
-        // With two frames it is not known which shows another scene.
+        // If there are only two frames, it is not known which of them shows another scene.
         if among < 3 || 2 * placed > among {
             break;
         }

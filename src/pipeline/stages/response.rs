@@ -75,13 +75,13 @@ pub(crate) fn find(
             (curve, report)
         }
     };
-    // A given curve is accepted: the frames are merged as functions of exposure.
+    // A response from a file is accepted: the frames are merged with it, even if they are locally processed.
     let evidence = evidence.filter(|_| report.model != "file");
     Ok((Aligned { bracket, alignment, region }, Camera { curve, report, evidence }, warnings))
 }
 
-/// Returns a warning if the response `saved` in the file `path` is of another camera than that of `capture`; `None`
-/// if one of the cameras is not known.
+/// Returns a warning if the response `saved` in the file `path` is of another camera than `capture`; `None` if one of
+/// the two cameras is not known.
 fn differing_response(path: &Path, saved: &SavedResponse, capture: &Capture) -> Option<Warning> {
     let found = saved.camera()?;
     let kept = capture.camera()?;
@@ -99,10 +99,12 @@ fn contradicted_response(
     let warning = |(found, own)| {
         let detail = match is_local {
             true => format!(
-                "the frames are locally processed: they contradict this response by {found:.2} stops, and would contradict any other"
+                "the frames are locally processed: they contradict this response by {found:.2} stops, and no other response fits them"
             ),
             false => {
-                format!("the frames contradict this response by {found:.2} stops; one recovered from them by {own:.2}")
+                format!(
+                    "the frames contradict this response by {found:.2} stops, but a response recovered from them by only {own:.2}"
+                )
             }
         };
         Warning::ResponseDoubtful { path: path.to_owned(), detail }

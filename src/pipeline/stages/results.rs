@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 
 /// Number of rows passed to the writers at once: enough bands for all threads, and buffers that stay in the cache.
 const AT_ONCE: usize = 8 * BAND_ROWS;
-/// Number of rows that are reduced at once; their values are floats.
+/// Number of rows that are resized at once; fewer than [`AT_ONCE`], because their values are floats.
 const RESIZED_ROWS: usize = 2 * BAND_ROWS;
 
 /// Callback for the rows of the picture, in 8 bits and in the size of the radiance.
@@ -91,7 +91,8 @@ impl Results<'_> {
     }
 }
 
-/// A picture that is smaller than the radiance: the pending rows in light, and the radiance that it shows, if needed.
+/// Reduces the rows of a picture that is smaller than the radiance, in linear light; if needed, also the rows of the
+/// radiance.
 struct Smaller {
     width: usize,
     full: Vec<[f32; 3]>,

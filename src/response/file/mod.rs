@@ -93,16 +93,16 @@ impl Loss {
         let most = self.channel_stops.into_iter().fold(self.luminance_stops, f64::max);
         if most > RESIDUAL {
             let reason = format!(
-                "the format cannot represent this curve: radiance merged with it would be {off}; save it as .json"
+                "the format cannot represent this curve: radiance merged with the file would be {off}; save the response as .json"
             );
             return Err(Error::ResponseFile { path: path.to_owned(), reason });
         }
-        let detail = format!("radiance merged with it is {off}; .json saves the curve exactly");
+        let detail = format!("radiance merged with this file is {off}; .json saves the curve exactly");
         Ok((most > LOSS).then(|| Warning::OutOfRange { path: path.to_owned(), detail }))
     }
 }
 
-/// Loss that is not reported, in stops: curves of two brackets of one camera differ as much.
+/// Largest loss without a warning, in stops: curves recovered from two brackets of one camera differ by as much.
 const LOSS: f64 = 0.01;
 
 /// A curve and its camera.
@@ -175,7 +175,7 @@ impl SavedResponse {
             Format::Json => Ok(Encoded { text: self.to_json(), curve: self.curve.clone() }),
             Format::Csv => {
                 let text = csv::write(&self.curve);
-                // A billionth of white or less is 0 in nine decimals.
+                // Exposures below half a billionth of white are 0 in nine decimals.
                 let steep = |_| refused("the curve is too steep for the nine decimals of this format");
                 let curve = csv::read(&text).map_err(steep)?;
                 Ok(Encoded { text, curve })
@@ -227,8 +227,8 @@ impl SavedResponse {
             <[f64; CODES]>::try_from(values).map_err(wanted)
         };
         let g = [channel("red", red)?, channel("green", green)?, channel("blue", blue)?];
-        let curve =
-            ResponseCurve::new(g).ok_or_else(|| wrong("its values do not increase from code to code".to_owned()))?;
+        let curve = ResponseCurve::new(g)
+            .ok_or_else(|| wrong("its values do not increase from one pixel value to the next".to_owned()))?;
         let black = |_: ()| wrong("a black_code is not in 0..128".to_owned());
         Ok(SavedResponse {
             make: document.camera_make,
@@ -245,7 +245,7 @@ mod tests {
 
     fn saved() -> SavedResponse {
         let srgb = *ResponseCurve::srgb().ln_exposure(0);
-        // Digits that no short decimal has.
+        // Numbers that no short decimal represents.
         let mean = (1.0 / 3.0 + 1.0 / 7.0) / 3.0;
         let g = [0.0, 1.0 / 3.0, 1.0 / 7.0].map(|d| srgb.map(|v| v * (1.0 + d / 100.0) + d - mean));
         SavedResponse {

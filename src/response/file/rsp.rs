@@ -11,9 +11,9 @@
 //! 3 1.19 -0.35 0.16 0.0018
 //! ```
 //!
-//! Such a polynomial cannot represent every curve of 256 values. Of all degrees up to 5, the polynomial with the
-//! smallest residual is written that is positive and increases at every code. The caller finds the loss by reading it
-//! again.
+//! Such a polynomial cannot represent every curve of 256 values. Of the polynomials of degree up to 5 that are positive
+//! and increase at every code, the one with the smallest residual is written. The caller finds the loss by reading the
+//! text again.
 
 use crate::response::{CODES, MID, ResponseCurve, hat, stops};
 use nalgebra::{DMatrix, DVector};
@@ -24,10 +24,11 @@ const MOST_DEGREE: usize = 5;
 /// Codes over which the residual is computed: the weights of a merge are close to 0 outside of them.
 const JUDGED: std::ops::RangeInclusive<usize> = 10..=245;
 
-/// Exposure of white relative to black: nine stops; sRGB's code 10 is 8.4 stops below white.
+/// Largest inverse of an exposure (white is 1) that is used as a weight, nine stops; sRGB's code 10 is 8.4 stops below
+/// white.
 const BLACKEST: f64 = 512.0;
 
-/// Reads the curve in `text`. The error is the reason.
+/// Reads the curve in `text`. The error says why there is no valid curve.
 pub(crate) fn read(text: &str) -> Result<ResponseCurve, String> {
     let mut numbers = text.split_whitespace();
     let mut channels = [[0.0; CODES]; 3];
@@ -55,21 +56,22 @@ pub(crate) fn read(text: &str) -> Result<ResponseCurve, String> {
         return Err(format!("{word:?} follows the three polynomials"));
     }
     rising(&mut channels)?;
-    // One scale for the three, so that the ratios of hdrgen's channels are kept.
+    // All three channels have one scale, so that the ratios of hdrgen's channels are kept.
     let ln_mid = channels.iter().map(|x| libm::log(x[MID])).sum::<f64>() / 3.0;
     ResponseCurve::new(channels.map(|x| x.map(|v| libm::log(v) - ln_mid)))
         .ok_or_else(|| "its exposures are too large or too small for a 32-bit float".to_owned())
 }
 
-/// Raises the darkest codes, where hdrgen's polynomials may fall or be negative, to a line through 0.
+/// Replaces the exposures of the darkest codes, where hdrgen's polynomials may fall or be negative, by a line through
+/// 0.
 fn rising(channels: &mut [[f64; CODES]; 3]) -> Result<(), String> {
     for (x, name) in channels.iter_mut().zip(["red", "green", "blue"]) {
         let sound = |z: usize| x[z] > 0.0 && x[z + 1] > x[z];
         let first = (0..CODES - 1).rev().take_while(|&z| sound(z)).last();
-        // hdrgen does not use the dark end; a fault above these codes makes the curve invalid.
+        // hdrgen does not use the dark end. Only a fault in the codes from 64 on makes the curve invalid.
         let first = first.filter(|&z| z < MID / 2);
-        let first =
-            first.ok_or_else(|| format!("the polynomial of {name} does not increase from code {} to 255", MID / 2))?;
+        let first = first
+            .ok_or_else(|| format!("the polynomial of {name} does not increase from pixel value {} to 255", MID / 2))?;
         let (value, place) = (x[first], first as f64 + 0.5);
         (0..first).for_each(|z| x[z] = value * (z as f64 + 0.5) / place);
     }
@@ -96,9 +98,8 @@ pub(crate) fn write(curve: &ResponseCurve) -> Option<String> {
 /// Returns the increasing polynomial of this degree, highest power first, that is closest to exp(g) in stops,
 /// weighted by the hat, and its distance in stops.
 ///
-/// This is the closest of all polynomials if that increases. Otherwise it is the closest of those whose coefficients
-/// in Bernstein's basis increase, which makes them increase everywhere: a sum of cumulative Bernstein polynomials
-/// with non-negative weights.
+/// The result is the closest of all polynomials if that one increases. Otherwise it is the closest sum of cumulative
+/// Bernstein polynomials (see [`bernstein_sums`]) with non-negative weights, which increases everywhere.
 fn fit(g: &[f64; CODES], degree: usize) -> Option<(Vec<f64>, f64)> {
     let columns = bernstein_sums(degree);
     // d ln x = dx / x: with weights 1 / x the least squares are those of the logarithm; the weight is limited near
@@ -161,12 +162,12 @@ fn bernstein_sums(degree: usize) -> Vec<Vec<f64>> {
     (0..=degree).map(sum).collect()
 }
 
-/// Position of code z in hdrgen's polynomials.
+/// Returns the position x of code z in hdrgen's polynomials.
 fn at(z: usize) -> f64 {
     (z as f64 + 0.5) / 256.0
 }
 
-/// Horner's method, highest power first.
+/// Returns the value of a polynomial, highest power first, by Horner's method.
 fn evaluate(coefficients: &[f64], x: f64) -> f64 {
     coefficients.iter().fold(0.0, |sum, c| sum * x + c)
 }
@@ -175,8 +176,8 @@ fn evaluate(coefficients: &[f64], x: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Root mean square over codes 10..=245 of the difference between two curves after one shift for all channels, in
-    /// stops.
+    /// Returns the root mean square over codes 10..=245 of the difference between two curves after one shift for all
+    /// channels, in stops.
     fn difference(a: &ResponseCurve, b: &ResponseCurve) -> f64 {
         let d: Vec<f64> = (0..3)
             .flat_map(|c| JUDGED.map(move |z| (c, z)))
@@ -194,7 +195,7 @@ mod tests {
         let square = |z: f64| 3.0 * x(z) * x(z) + 0.5 * x(z) + 0.25;
         assert!((ratio(0, 200, 10) - square(200.0) / square(10.0)).abs() < 1e-9);
         assert!((ratio(1, 200, 10) - (2.0 * x(200.0) + 0.1) / (2.0 * x(10.0) + 0.1)).abs() < 1e-9);
-        // Also between the channels.
+        // The ratios between the channels are also kept.
         let mixed = libm::exp(curve.ln_exposure(0)[50] - curve.ln_exposure(1)[50]);
         assert!((mixed - square(50.0) / (2.0 * x(50.0) + 0.1)).abs() < 1e-9);
     }

@@ -1,9 +1,9 @@
 //! Least squares by orthogonal transformations.
 //!
 //! In: weighted equations, row by row. Out: the unknowns, and the condition of the equations. Cost: 2 n^2 operations
-//! per row for n unknowns, about 4 us for 47, and one singular value decomposition of n x n; memory for a few hundred
-//! rows, for any number of them. Source: Golub & Van Loan, "Matrix Computations", sections 5.2 (Householder), 5.3
-//! (full-rank least squares) and 5.4 (R-SVD).
+//! per row for n unknowns, about 4 us for 47, and one singular value decomposition of n x n; the memory is that of a
+//! few hundred rows, however many are added. Source: Golub & Van Loan, "Matrix Computations", sections 5.2
+//! (Householder), 5.3 (full-rank least squares) and 5.4 (R-SVD).
 //!
 //! Rows are folded into a triangle R by Householder reflections: R has the singular values of the whole matrix and
 //! the same solution, up to the rounding of an `f64`. The normal equations A'A would square the singular values and
@@ -12,7 +12,7 @@
 use crate::response::fit::{self, Fitted};
 use nalgebra::{DMatrix, SVD};
 
-/// Rows that are folded into the triangle at once; with it they fit the cache of a core.
+/// Number of rows that are folded into the triangle at once; these rows and the triangle fit into the cache of a core.
 const ROWS: usize = 128;
 /// Largest number of steps of the singular value decomposition; it converges in two or three per unknown.
 const STEPS: usize = 30 * 256;
@@ -108,7 +108,7 @@ mod tests {
         assert!((condition / whole - 1.0).abs() < 1e-12);
     }
 
-    /// Läuchli's matrix: of condition 3e4, the square of which is 1e9.
+    /// Läuchli's matrix, which has a condition of 3e4; the square of the condition is 1e9.
     #[test]
     fn digits_are_lost_by_the_condition_and_not_by_its_square() {
         let small = 5e-5;
@@ -117,7 +117,7 @@ mod tests {
         [[1.0, 1.0, 0.0], [small, 0.0, small], [0.0, small, -small]].iter().for_each(|row| equations.push(row, 1.0));
         let (x, condition) = equations.solve().unwrap();
         assert!((condition * small / 2f64.sqrt() - 1.0).abs() < 1e-8, "{condition}");
-        // 3e4 times 2e-16, and a margin; by normal equations it is 1e-8.
+        // The error is the condition, 3e4, times 2e-16, with a margin; by normal equations the error is 1e-8.
         assert!((x[0] - 1.0).abs() < 1e-11 && (x[1] + 1.0).abs() < 1e-11, "{x:?}");
     }
 
@@ -125,7 +125,7 @@ mod tests {
     fn equations_without_a_solution_of_their_own_are_refused() {
         let mut equations = LeastSquares::new(2);
         (0..9).for_each(|i| equations.push(&[1.0, 2.0, f64::from(i)], 1.0));
-        assert!(equations.solve().unwrap_err().contains("do not determine"));
+        assert!(equations.solve().unwrap_err().contains("cannot be calculated"));
         let mut equations = LeastSquares::new(1);
         equations.push(&[f64::NAN, 1.0], 1.0);
         assert!(equations.solve().is_err());
@@ -134,7 +134,7 @@ mod tests {
 
     #[test]
     fn an_eliminated_unknown_leaves_the_others_as_they_are() {
-        // Seven equations with a column of one unknown that is theirs alone.
+        // Seven equations in three common unknowns, and in one unknown that no other equation contains.
         let (m, n) = (7, 3);
         let a = DMatrix::from_fn(m, n + 1, |i, k| noise(5 * i + k));
         let b = DVector::from_fn(m, |i, _| noise(997 + i));

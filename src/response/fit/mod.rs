@@ -30,8 +30,9 @@ const CONDITION: f64 = 1e5;
 /// Range of stops from code 16 to code 240 that a camera may have: the sRGB curve has 7.4, a linear one 3.9, a scan
 /// of print film 10.
 const CONTRAST: (f64, f64) = (1.5, 16.0);
-/// Any so many codes between 16 and 240 must span so many stops. With the smallest [`CONTRAST`], spread evenly, they
-/// span 0.43. If samples contradict each other, the fitted curve falls, and making it monotone leaves it flat.
+/// Any range of this many codes between 16 and 240 must span at least this many stops. With the smallest [`CONTRAST`],
+/// spread evenly, such a range spans 0.43. If samples contradict each other, the fitted curve falls, and making it
+/// monotone leaves it flat.
 const FLAT: (usize, f64) = (64, 0.1);
 /// Largest root mean square residual of a valid model, in stops.
 pub(super) const RESIDUAL: f64 = 0.5;
@@ -112,7 +113,7 @@ pub fn check(samples: &[Sample]) -> Fitted<()> {
         ));
     }
     if codes.1 - codes.0 < SPAN {
-        return Err(format!("flat places have only codes from {:.0} to {:.0}", codes.0, codes.1));
+        return Err(format!("flat places have only pixel values from {:.0} to {:.0}", codes.0, codes.1));
     }
     Ok(())
 }
@@ -123,9 +124,9 @@ fn check_plausible(g: &[f64; CODES], fit: &Fit) -> Fitted<()> {
     let (codes, rise) = FLAT;
     let flat = (16..=240 - codes).find(|&z| stops(g[z + codes] - g[z]) < rise);
     if let Some(z) = flat {
-        Err(format!("the recovered response does not rise from code value {z} to code {}", z + codes))
+        Err(format!("the recovered response does not rise from pixel value {z} to {}", z + codes))
     } else if !(CONTRAST.0..=CONTRAST.1).contains(&contrast) {
-        Err(format!("the recovered curve has {contrast:.1} stops from code 16 to code 240"))
+        Err(format!("the recovered curve has {contrast:.1} stops from pixel value 16 to 240"))
     } else if fit.residual_stops.is_nan() || fit.residual_stops > RESIDUAL {
         Err(format!("the frames contradict each other by {:.2} stops", fit.residual_stops))
     } else {
@@ -140,7 +141,7 @@ pub fn determined(condition: f64) -> Fitted<()> {
 
 /// Returns the reason why there is no solution.
 pub fn undetermined(condition: f64) -> String {
-    format!("the frames do not determine the curve (condition {condition:.0e})")
+    format!("the curve cannot be calculated from the frames (condition {condition:.0e})")
 }
 
 /// Returns the two neighbours of a code between integers, with their weights.
@@ -221,12 +222,12 @@ pub mod scene {
         (0..count).map(place).filter(|s| s.views.len() >= 2).collect()
     }
 
-    /// Root mean square over codes 10..=245 of the difference between two curves after a shift, in stops.
+    /// Returns the root mean square over codes 10..=245 of the difference between two curves after a shift, in stops.
     pub fn difference(g: &[f64; CODES], exposure: impl Fn(f64) -> f64) -> f64 {
         difference_from(10, g, exposure)
     }
 
-    /// The same over codes `from`..=245, because `g` is not determined below.
+    /// Returns the difference as [`difference`] does, but over codes `from`..=245, because `g` is not determined below.
     pub fn difference_from(from: usize, g: &[f64; CODES], exposure: impl Fn(f64) -> f64) -> f64 {
         let d: Vec<f64> = (from..=245).map(|z| stops(g[z] - libm::log(exposure(z as f64 / 255.0)))).collect();
         let mean = d.iter().sum::<f64>() / d.len() as f64;
@@ -252,14 +253,14 @@ mod tests {
         assert!(trust[100] < 0.5, "{}", trust[100]);
         let kept = trust.iter().filter(|&&t| t > 0.5).count();
         assert!(kept > 300, "{kept}");
-        // g = 2 ln z has a curvature of 1 / z^2 between codes, and the noise is 0.43 codes: 2 x 0.43 / z nepers,
-        // weighted to the middle.
+        // A noise of 0.43 codes is 2 x 0.43 / z nepers of g = 2 ln z: 0.007 at the middle codes, which have the largest
+        // weights. The curvature of g between codes, 1 / z^2, is smaller.
         assert!((0.001..0.03).contains(&residual(&samples, &trust, &g)));
     }
 
     #[test]
     fn a_misfit_far_beyond_the_others_has_no_trust() {
-        // The median, 1, is 0.6745 standard deviations of normal misfits: 4.685 of them are 6.95.
+        // The median, 1, is 0.6745 standard deviations of normal misfits, so 4.685 standard deviations are 6.95.
         let trust = tukey(&[0.0, 1.0, 1.0, 1.0, 6.9, 7.0]);
         assert!(
             trust[0] == 1.0 && trust[1] > 0.95 && trust[4] > 0.0 && trust[4] < 1e-3 && trust[5] == 0.0,
@@ -273,7 +274,7 @@ mod tests {
         let samples = scene(400, &[-2.0, 0.0, 2.0], |x| x.sqrt());
         let n = samples.len();
         assert!(finish(&samples, found(|_| f64::NAN, n)).unwrap_err().contains("not finite"));
-        assert!(finish(&samples, found(|z| 0.2 * z as f64, n)).unwrap_err().contains("stops from code 16"));
+        assert!(finish(&samples, found(|z| 0.2 * z as f64, n)).unwrap_err().contains("stops from pixel value 16"));
         // The curve falls from code 110 to 200, as it does if samples contradict each other.
         let falls =
             found(|z| 2.0 * libm::log(if (110..=200).contains(&z) { 220.0 - z as f64 } else { z as f64 }.max(0.1)), n);

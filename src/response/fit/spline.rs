@@ -19,7 +19,8 @@ const ORDER: usize = 4;
 
 /// A basis of curves over the codes.
 pub struct Basis {
-    /// For each code, the first spline that is not 0 there, and the values of that and the following ones.
+    /// For each code, the index of the first spline that is not 0 there, and the values of that spline and the
+    /// following ones.
     rows: Vec<(usize, Vec<f64>)>,
     count: usize,
 }
@@ -51,7 +52,7 @@ impl Basis {
         Basis { rows: (0..CODES).map(row).collect(), count }
     }
 
-    /// The 256 values themselves instead of spline coefficients.
+    /// Returns the basis whose coefficients are the 256 values of the curve themselves.
     #[cfg(test)]
     pub fn values() -> Self {
         Basis { rows: (0..CODES).map(|z| (z, vec![1.0])).collect(), count: CODES }
@@ -62,13 +63,13 @@ impl Basis {
         self.count
     }
 
-    /// Adds `factor` x the curve's value at code `z`, in coefficients, to `row`.
+    /// Adds to `row`, which has a term for each coefficient, `factor` times the values of the splines at code `z`.
     pub fn add(&self, z: usize, factor: f64, row: &mut [f64]) {
         let (first, values) = &self.rows[z];
         row[*first..].iter_mut().zip(values).for_each(|(sum, b)| *sum += factor * b);
     }
 
-    /// B c: returns the curve with these coefficients.
+    /// Returns the curve with these coefficients.
     pub fn curve(&self, coefficients: &[f64]) -> [f64; CODES] {
         std::array::from_fn(|z| {
             let (first, row) = &self.rows[z];

@@ -13,7 +13,7 @@ fn noise(seed: usize) -> f64 {
 }
 
 /// Returns places of evenly spread brightness at `exposures`, recorded as `written`, by a camera with a steeper curve
-/// than sRGB's; an eighth moved.
+/// than sRGB's. In an eighth of the places something moved.
 fn scene(exposures: &[f64], written: &[f64]) -> [Vec<Sample>; 3] {
     std::array::from_fn(|c| {
         let place = |i: usize| {
@@ -46,8 +46,8 @@ fn wrong_exposures_are_corrected_as_far_as_determined() {
     let (exact, wrong) = ([-4.0, -2.5, -1.0, 0.5, 2.0], [0.09, -0.12, 0.05, 0.1, -0.07]);
     let written: Vec<f64> = exact.iter().zip(wrong).map(|(e, w)| e + w).collect();
     let (got, wanted) = (found(&exact, &written), knowable(&wrong.map(|w| -w), &written));
-    // Noise of half a code over 500 places is far smaller; a hundredth of a stop is the influence of the prior and of
-    // motion.
+    // The error from noise of half a code over 500 places is far smaller than the tolerance; the prior and motion cause
+    // a hundredth of a stop.
     assert!(got.iter().zip(&wanted).all(|(a, b)| (a - b).abs() < 0.012), "{got:?} for {wanted:?}");
     assert!(wanted.iter().any(|w| w.abs() > 0.08));
 }
@@ -68,8 +68,8 @@ fn a_common_factor_and_a_common_power_are_kept_as_written() {
     assert_eq!(free_directions(&[0.0, 1.0, 3.0]).len(), 1);
 }
 
-/// The normal equations without the elimination of ln E, the splines or the separate projection: all unknowns in one
-/// dense system.
+/// The expected result is from normal equations without the elimination of ln E, of the splines, and without the
+/// separate projection: all unknowns are in one dense system.
 #[test]
 fn elimination_gives_the_solution_of_the_whole_system() {
     let written = [-3.0, -1.4, 0.0, 1.6];
@@ -85,7 +85,7 @@ fn elimination_gives_the_solution_of_the_whole_system() {
     let places: usize = samples.iter().map(Vec::len).sum();
     let unknowns = 3 * SPLINE + free.ncols() + places;
     let weight: f64 = samples.iter().flatten().flat_map(|s| &s.views).map(|v| hat(v.code) * hat(v.code)).sum();
-    // Unknowns with their coefficients, the right side, the weight.
+    // An equation: its unknowns with their coefficients, its right side, its weight.
     type Row = (Vec<(usize, f64)>, f64, f64);
     let mut rows: Vec<Row> = Vec::new();
     let mut place = 3 * SPLINE + free.ncols();
@@ -121,24 +121,24 @@ fn elimination_gives_the_solution_of_the_whole_system() {
     }
     let x = matrix.cholesky().unwrap().solve(&right);
     let whole = &free * x.rows(3 * SPLINE, free.ncols());
-    // Both are normal equations with a condition of about 1e9, times 2e-16, with a margin.
+    // The error is the condition of either system of normal equations, about 1e9, times 2e-16, with a margin.
     assert!((&whole - &d).amax() < 1e-6, "{whole} {d}");
 }
 
-/// Tiles of 20 pixels, over ten stops.
+/// Returns the radiance of tiles of 20 pixels, over ten stops.
 fn tiles(x: usize, y: usize) -> [f64; 3] {
     let e = libm::exp2(((x / 20) * 7 + (y / 20) * 13) as f64 % 101.0 / 10.0 - 8.0);
     [e, 1.1 * e, 0.8 * e]
 }
 
-/// `frame` with another exposure.
+/// Returns `frame` with another exposure.
 fn exposed(frame: &Frame, exposure: Exposure) -> Frame {
     let mut frame = frame.clone();
     frame.exposure = exposure;
     frame
 }
 
-/// Returns the bracket of `times` with `written` in its EXIF.
+/// Returns a bracket of exposures `times`, with the exposure times `written` in its EXIF.
 fn written(times: &[f64], written: &[f64]) -> (Bracket, Alignment) {
     let (bracket, alignment) = still((400, 300), times, tiles);
     let frames = bracket.frames().iter().zip(written).map(|(frame, &time)| {
@@ -160,7 +160,7 @@ fn a_bracket_is_corrected_within_bounds_but_not_against_the_user() {
     // The places have the corrected exposures: there is nothing left to correct.
     assert!(corrections(&tuned, &places).0.iter().all(|c| c.stops == 0.0));
     let ev: Vec<f64> = tuned.frames().iter().map(|f| f.exposure.ev()).collect();
-    // The second step relative to its neighbours: 2 + 2 - 2 * 2 = 0, for any common power.
+    // Twice the second step minus both its neighbours is 0 for three equal steps, for any common power.
     assert!((ev[0] - 3.0 * ev[1] + 3.0 * ev[2] - ev[3]).abs() < 0.03, "{ev:?}");
     assert!(warnings.is_empty() && tuned.frames()[1].exposure.correction_stops() > 0.05);
 

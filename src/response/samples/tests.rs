@@ -2,7 +2,7 @@ use super::super::tests::still;
 use super::*;
 use crate::bracket::Frame;
 
-/// Tiles of 20 pixels, over ten stops.
+/// Returns the radiance of tiles of 20 pixels, over ten stops.
 fn tiles(x: usize, y: usize) -> [f64; 3] {
     [libm::exp2(((x / 20) * 7 + (y / 20) * 13) as f64 % 101.0 / 10.0 - 8.0); 3]
 }
@@ -32,7 +32,7 @@ fn thinned_places_are_even_and_give_the_same_curve() {
     let mut few = all.clone();
     few.thin(3 * 100 + 2);
     assert_eq!(few.places.len(), 100);
-    // One of every so many, from the first rows to the last.
+    // The places that are kept are spread evenly, up to the last row.
     let step = all.places.len() / 100;
     let kept = |place: &Candidate| {
         few.places.iter().filter(|p| p.patches[1].unwrap()[0].mean == place.patches[1].unwrap()[0].mean).count()
@@ -90,7 +90,7 @@ fn a_mover_is_not_black() {
 fn codes_are_parted_where_the_fewest_are_on_the_wrong_side() {
     let parted = |below: &[f64], above: &[f64]| parting(below.iter().copied(), above.to_vec());
     assert_eq!(parted(&[1.0, 2.0, 3.0], &[4.0, 5.0]), 3.0);
-    // One value of many is on the wrong side.
+    // 9.0 and 2.5 are on the wrong side.
     assert_eq!(parted(&[1.0, 2.0, 3.0, 3.5, 9.0], &[2.5, 4.0, 5.0, 6.0]), 3.5);
     assert_eq!(parted(&[9.0], &[1.0, 2.0]), f64::MIN);
     assert_eq!(parted(&[], &[]), f64::MIN);

@@ -1,8 +1,8 @@
 //! Adjusts the light of a picture, the last step before it is encoded.
 //!
-//! In: rows of light of the picture's primaries, 0..=1, from an operator or from fusion. Out: rows of code values of the adjusted picture. Cost: 5 ns a
-//! pixel and core. Only luminance is changed; colours keep their hue and, unless saturation is set, the proportions of their light. Colours outside the
-//! gamut are desaturated in OkLab.
+//! In: rows of light of the picture's primaries, 0..=1, from an operator or from fusion. Out: rows of code values of
+//! the adjusted picture. Cost: 5 ns a pixel and core. Only luminance is changed; colours keep their hue and, unless
+//! saturation is set, the proportions of their light. Colours outside the gamut are desaturated in OkLab.
 
 use super::surroundings::Surroundings;
 use super::{Light, MOST, Options};
@@ -13,40 +13,44 @@ use crate::tonemap::display::codes::{Code, Colours, Encoder};
 use crate::tonemap::display::oklab;
 use crate::tonemap::display::{ToSrgb, luminance};
 
-/// Change of shadows and highlights at [`MOST`], in stops, in the darkest and the brightest surroundings. It is small enough that opposite settings never
-/// make a dark surface brighter than a bright one (the remaining slope in the middle tones is 0.31).
+/// Change of shadows and highlights at [`MOST`], in stops, in the darkest and the brightest surroundings. It is small
+/// enough that opposite settings never make a dark surface brighter than a bright one (the remaining slope in the
+/// middle tones is 0.31).
 const LOCAL_STOPS: f64 = 2.0;
 
 /// Smallest distance of a luminance from black and from white: 2^-24, the spacing of floats just below 1.
 const LEAST: f32 = 1.0 / 16_777_216.0;
 
-/// Pixels that are computed together.
+/// Number of pixels that are computed together.
 const BLOCK: usize = 64;
 
 /// Applies adjustments to the light of a picture.
 #[derive(Debug, Clone)]
 pub struct Adjusted {
     to_srgb: ToSrgb,
-    /// The same with white balance, for light that was not balanced as radiance.
+    /// `to_srgb` with white balance, for light that was not balanced as radiance.
     balanced: Option<ToSrgb>,
     brightness: f32,
-    /// Slope of the log odds.
+    /// Factor on the distance of the log odds from `middle`.
     contrast: f32,
     /// Log odds of the middle code value.
     middle: f32,
     /// Factor on chroma.
     saturation: f32,
-    /// Change in stops in the darkest and in the brightest surroundings.
+    /// Change in stops in the darkest surroundings.
     shadows: f32,
+    /// Change in stops in the brightest surroundings.
     highlights: f32,
     surroundings: Option<Surroundings>,
 }
 
 impl Adjusted {
-    /// Prepares `options` for a picture of `colours` that is `width` pixels wide; `None` when its light does not change.
+    /// Prepares `options` for a picture of `colours` that is `width` pixels wide; `None` when its light does not
+    /// change.
     ///
-    /// `light` is the light to show as white, unless the radiance was balanced already. `display` holds the luminances of the picture, 0..=1, for cells
-    /// of so many pixels; it is needed when the options [need surroundings](Options::needs_surroundings).
+    /// `light` is the light to show as white, unless the radiance was balanced already. `display` holds the luminances,
+    /// 0..=1, of cells of the picture, and the side of a cell in pixels; it is needed when the options [need
+    /// surroundings](Options::needs_surroundings).
     pub fn new(
         options: &Options,
         colours: Colours,
@@ -78,7 +82,8 @@ impl Adjusted {
         vectorised(Row { adjusted: self, lines: &lines, encoder, light, codes });
     }
 
-    /// Adjusts the display luminances of pixels in place, the first of which is in column `x`; `lines` are those of the row.
+    /// Adjusts the display luminances of consecutive pixels in place, starting in column `x`. `lines` are what the
+    /// guide of the surroundings gives for this row of the picture.
     #[inline(always)]
     fn luminances(&self, x: usize, lines: &[[f32; 2]], display: &mut [f32; BLOCK]) {
         let mut odds = [0.0f32; BLOCK];
@@ -156,7 +161,7 @@ mod tests {
     use crate::tonemap::adjust::WhiteBalance;
     use crate::tonemap::display::codes::encoded;
 
-    /// The light of the adjusted picture; `display` is the luminance of its surroundings.
+    /// Returns the light of the adjusted picture; `around` is the luminance of its surroundings.
     fn adjusted(options: &Options, around: Option<f32>, light: &[[f32; 3]]) -> Vec<[f32; 3]> {
         let cells = around.map(|y| (Plane::filled(3, 1, y), 100));
         let Some(adjusted) = Adjusted::new(options, Colours::Srgb, None, cells, light.len()) else {
@@ -173,7 +178,7 @@ mod tests {
         options
     }
 
-    /// Greys and tints that a display has, of many luminances.
+    /// Returns greys and tints that a display has, of many luminances.
     fn ramp() -> Vec<[f32; 3]> {
         let tint = |i: usize| [[1.0, 1.0, 1.0], [1.0, 0.9, 0.8], [0.7, 0.9, 1.0], [0.9, 1.0, 0.8]][i % 4];
         (0..297).map(|i| tint(i).map(|c: f32| c * libm::exp2f(-12.0 + i as f32 / 297.0 * 11.9))).collect()
@@ -183,8 +188,8 @@ mod tests {
         libm::log2(f64::from(y) / (1.0 - f64::from(y)))
     }
 
-    /// The formulas of the module documentation in doubles. The vectorised code has logarithms within 2e-7 of a value below 16 and powers within 3e-7; the
-    /// conversion through OkLab is exact to 1e-5 of linear light.
+    /// Compared with the formulas of the module documentation in `f64`. The vectorised code has logarithms within 2e-7
+    /// for values below 16 and powers within 3e-7; the conversion through OkLab is exact to 1e-5 of linear light.
     #[test]
     fn rows_are_those_of_the_formula() {
         let middle = odds(srgb_to_linear(128.0 / 255.0) as f32);
@@ -294,7 +299,8 @@ mod tests {
         assert!(Adjusted::new(&asked, Colours::Srgb, None, None, 3).is_none(), "it was radiance");
     }
 
-    /// A dark room beside a bright window, both with texture: each changes as a whole, its texture keeps its contrast, and there is no halo at the edge.
+    /// A dark room beside a bright window, both with texture: each changes as a whole, its texture keeps its contrast,
+    /// and there is no halo at the edge between them.
     #[test]
     fn places_are_changed_with_their_texture_and_without_halos() {
         let (width, side) = (600, 6);

@@ -1,11 +1,14 @@
-//! Adjustments: white balance, brightness, contrast, saturation, shadows and highlights, with the same meaning for every operator.
+//! Adjustments: white balance, brightness, contrast, saturation, shadows and highlights, with the same meaning for
+//! every operator.
 //!
-//! In: [`Options`]. Out: the light that is shown as white (`white`, `neutral`), and [`Adjusted`], which changes the light of the picture. The radiance map
-//! is not changed. Cost: see [`Adjusted`]; none when nothing is adjusted.
+//! In: [`Options`]. Out: the light that is shown as white (`white`, `neutral`), and [`Adjusted`], which changes the
+//! light of the picture. The radiance map is not changed. Cost: see [`Adjusted`]; none when nothing is adjusted.
 //!
-//! White is balanced in linear light, before the operator. All other adjustments change the log odds of display luminance Y, t = log2(Y / (1 - Y)). In the
-//! dark these are stops, and black and white are never reached, so nothing clips. Shadows and highlights are added to t where the surroundings are dark or
-//! bright; then contrast sets the slope about the middle code value; then brightness is added. Saturation scales the chroma of OkLab.
+//! White is balanced in linear light, before the operator (for `mertens`: after the fusion). All other adjustments
+//! change the log odds of display luminance Y, t = log2(Y / (1 - Y)). In the dark these are stops, and black and white
+//! are never reached, so nothing clips. Shadows and highlights are added to t where the surroundings are dark or
+//! bright; then contrast sets the slope about the middle code value; then brightness is added. Saturation scales the
+//! chroma of OkLab.
 
 mod light;
 pub(crate) mod neutral;
@@ -43,7 +46,7 @@ const MOST_STOPS: f64 = 5.0;
 const MOST: f64 = 100.0;
 
 impl Options {
-    /// Option, value and largest absolute value of each numeric adjustment.
+    /// Returns option, value and largest absolute value of each numeric adjustment.
     fn numbers(&self) -> [(&'static str, f64, f64); 5] {
         [
             ("--brightness", self.brightness, MOST_STOPS),
@@ -82,7 +85,7 @@ impl Options {
         }
     }
 
-    /// The first option that differs from its default; `None` when nothing is adjusted.
+    /// Returns the first option that differs from its default; `None` when nothing is adjusted.
     pub fn asked(&self) -> Option<&'static str> {
         let white = (self.white_balance != WhiteBalance::AsShot).then_some(white::OPTION);
         white.or_else(|| self.numbers().into_iter().find(|(_, value, _)| *value != 0.0).map(|(option, ..)| option))

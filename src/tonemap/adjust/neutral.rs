@@ -1,9 +1,10 @@
 //! Estimates the light of a scene from the picture, for white balance.
 //!
-//! In: the overview of a scene, or the pixels around a spot that is known to be grey. Out: the [`Light`] in which that is grey. Cost: 20 ns a cell; one
-//! pass for a spot. Source: Buchsbaum, "A spatial processor model for object colour perception" (1980): scenes are grey on average, here after the tone
-//! curve of Reinhard et al. 2002, equation 3. The higher exponents of Finlayson, Trezzi, "Shades of Gray and Colour Constancy" (2004), were tried: with
-//! them a window or a screen in the picture determines the result instead of the room.
+//! In: the overview of a scene, or the pixels around a spot that is known to be grey. Out: the [`Light`] in which the
+//! mean of the scene, or the spot, is grey. Cost: 20 ns a cell; one pass for a spot. Source: Buchsbaum, "A spatial
+//! processor model for object colour perception" (1980): scenes are grey on average, here after the tone curve of
+//! Reinhard et al. 2002, equation 3. The higher exponents of Finlayson, Trezzi, "Shades of Gray and Colour Constancy"
+//! (2004), were tried: with them a window or a screen in the picture determines the result instead of the room.
 
 use super::white::{self, Light, OPTION};
 use crate::bracket::colour::Primaries;
@@ -15,13 +16,15 @@ use crate::tonemap::overview::Scene;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Percentiles below and above which cells are ignored: too dark to have a reliable colour; lamps, windows and clipped parts.
+/// Percentiles below and above which cells are ignored: too dark to have a reliable colour; lamps, windows and clipped
+/// parts.
 const ENDS: (f64, f64) = (0.05, 0.95);
-/// How far white moves from that of the photographs to the mean, in reciprocal temperature and in tint. Cameras have balanced already, and no scene is
-/// exactly grey on average. Chosen by eye on four photographed brackets, in which lamp light stays warm.
+/// Fraction of the way from the white of the photographs to the mean colour that white moves, in reciprocal temperature
+/// and in tint. Cameras have balanced already, and no scene is exactly grey on average. Chosen by eye on four
+/// photographed brackets, in which lamp light stays warm.
 const SHARE: f64 = 0.6;
 
-/// The light to show as white in `scene`; `None` when the mean is not the colour of a light.
+/// Returns the light to show as white in `scene`; `None` when the mean is not the colour of a light.
 pub fn auto(scene: &Scene) -> Option<Light> {
     let [dark, bright] = [ENDS.0, ENDS.1].map(|part| scene.percentile(part) as f32);
     let middle = scene.percentile(0.5) as f32;
@@ -43,7 +46,7 @@ pub fn auto(scene: &Scene) -> Option<Light> {
     Some(Light { kelvin, tint: SHARE * found.tint }.rounded())
 }
 
-/// The light with this colour in linear sRGB.
+/// Returns the light with this colour in linear sRGB.
 fn of_linear([r, g, b]: [f64; 3]) -> Option<Light> {
     let xyz = Primaries::SRGB.to_xyz()? * nalgebra::Vector3::new(r, g, b);
     let sum = xyz.x + xyz.y + xyz.z;
@@ -57,8 +60,9 @@ pub struct Spot {
     rows: Range<usize>,
     columns: Range<usize>,
     seen: Vec<[f32; 3]>,
-    /// The largest value and the sum of each channel over the picture.
+    /// The largest value of each channel over the picture.
     most: [f32; 3],
+    /// The sum of each channel over the picture.
     sums: [f64; 3],
     pixels: usize,
 }
@@ -69,10 +73,10 @@ const LEAST_REACH: usize = 2;
 const REACHES: usize = 200;
 
 impl Spot {
-    /// The spot at the pixel `at` of a picture of `size` pixels.
+    /// Creates the spot at the pixel `at` of a picture of `size` pixels.
     ///
     /// # Errors
-    /// [`Error::Option`] when it is outside of the picture.
+    /// [`Error::Option`] when the pixel is outside of the picture.
     pub fn new(at: (usize, usize), size: (usize, usize)) -> Result<Self> {
         let ((x, y), (width, height)) = (at, size);
         if x >= width || y >= height {
@@ -104,13 +108,14 @@ impl Spot {
         self.pixels += pixels.as_slice().len();
     }
 
-    /// The light in which the spot is grey, in a picture of `primaries`. Values at or below `black`, and at or above `white`, carry no colour.
+    /// Returns the light in which the spot is grey, in a picture of `primaries`. Values at or below `black`, and at or
+    /// above `white`, carry no colour.
     ///
     /// # Errors
     /// [`Error::Option`] when the spot is black, clipped, or too colourful to be grey in any light.
     pub fn light(&self, primaries: &Primaries, (black, white): (f32, f32)) -> Result<Light> {
         let refused =
-            |why: &str| refused(self.at, &format!("{why}; choose one that is grey and neither black nor white"));
+            |why: &str| refused(self.at, &format!("{why}; choose a spot that is grey and neither black nor white"));
         let half = self.seen.len() / 2;
         let count = |is: &dyn Fn(&[f32; 3]) -> bool| self.seen.iter().filter(|pixel| is(pixel)).count();
         if count(&|pixel| !pixel.iter().all(|&v| v > black && v.is_finite())) > half {
@@ -137,13 +142,14 @@ impl Spot {
 
 /// Values above this share of the largest count as equal to it, to allow for rounding.
 const PLATEAU: f32 = 0.999;
-/// The largest value counts as clipped, and not as the surface of an even picture, when it exceeds the mean by this factor.
+/// The largest value counts as clipped, and not as the surface of an even picture, when it exceeds the mean by this
+/// factor.
 const FAR: f64 = 1.5;
 
-/// Radiance at or below which a value counts as black; radiance has no zeros.
+/// Radiance at or below which a value counts as black; a radiance map has no zeros.
 pub const BLACK_RADIANCE: f32 = 10.0 * FLOOR;
 
-/// The largest value and the sum of each channel.
+/// Returns the largest value and the sum of each channel of a row.
 fn measured(row: &[[f32; 3]]) -> ([f32; 3], [f64; 3]) {
     let (mut most, mut sums) = ([0.0f32; 3], [0.0f64; 3]);
     for pixel in row {
@@ -169,14 +175,14 @@ mod tests {
     /// A lamp of 3200 K, slightly green.
     const LAMP: Light = Light { kelvin: 3200.0, tint: 10.0 };
 
-    /// Linear sRGB of a chromaticity, with luminance 1.
+    /// Returns the linear sRGB of a chromaticity, with luminance 1.
     fn rgb([x, y]: [f64; 2]) -> [f32; 3] {
         let xyz = nalgebra::Vector3::new(x / y, 1.0, (1.0 - x - y) / y);
         let rgb = Primaries::SRGB.to_xyz().unwrap().try_inverse().unwrap() * xyz;
         [rgb.x as f32, rgb.y as f32, rgb.z as f32]
     }
 
-    /// Surfaces of many colours and all luminances in one light; the corner is black, and a lamp clips.
+    /// Returns surfaces of many colours and all luminances in one light; the corner is black, and a lamp clips.
     fn scene(light: Light) -> Plane<[f32; 3]> {
         let lit = rgb(light.xy());
         Plane::from_rows(SIZE.0, SIZE.1, |y, row| {
@@ -252,7 +258,8 @@ mod tests {
         assert!((found.kelvin - LAMP.kelvin).abs() < 5.0, "{found}");
     }
 
-    /// The light of a scene that is grey on average is found, and white moves by `SHARE` towards it. A window, 30 times as bright, does not dominate.
+    /// The light of a scene that is grey on average is found, and white moves by `SHARE` towards it. A window, 30 times
+    /// as bright, does not dominate.
     #[test]
     fn auto_moves_white_partly_to_the_mean_colour() {
         let auto = |light: Light| {
@@ -261,7 +268,7 @@ mod tests {
             auto(&overview.scene().unwrap()).unwrap()
         };
         let mired = |light: Light| 1e6 / light.kelvin - 1e6 / 6504.0;
-        // The surfaces are grey on average but for a few mireds and tints.
+        // The surfaces are grey on average, except for a few mireds and tints.
         let plain = auto(white::D65);
         assert!(mired(plain).abs() < 6.0 && plain.tint.abs() < 12.0, "{plain}");
         for light in [LAMP, Light { kelvin: 11_000.0, tint: -15.0 }] {

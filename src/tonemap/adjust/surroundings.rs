@@ -1,21 +1,22 @@
-//! Surroundings: the brightness around each pixel, smoothed but for edges.
+//! Surroundings: the brightness around each pixel, smoothed except at edges.
 //!
-//! In: luminance on the display by cells. Out: the log odds of the surroundings of each pixel. Cost: 60 ns a cell, of which there are at most
-//! [`CELLS`]; two linear interpolations a pixel. Source: He, Sun, "Fast Guided Filter" (2015): a guided filter of the picture by itself, computed small
-//! and carried to the pixels by linear functions (`guide`).
+//! In: luminance on the display by cells. Out: the log odds of the surroundings of each pixel. Cost: 60 ns a cell, of
+//! which there are at most [`CELLS`]; two linear interpolations a pixel. Source: He, Sun, "Fast Guided Filter" (2015):
+//! a guided filter of the picture by itself, computed small and carried to the pixels by linear functions (`guide`).
 
 use super::super::guide::{Columns, Guide, interpolated};
 use crate::plane::Plane;
 use crate::simd::log2;
 
-/// Largest number of cells. The surroundings are five by five of them, about a thirtieth of the width of a picture.
+/// Largest number of cells. The surroundings of a pixel are five by five cells, about a thirtieth of the width of a
+/// picture.
 pub const CELLS: usize = 1 << 14;
 
-/// Variance of log odds, in square stops, of which half is smoothed away: deviations of half a stop are detail of a surface, and a step of three stops
-/// is an edge, of which 0.9 is kept.
+/// Variance of log odds, in square stops, at which half of a deviation is smoothed away: deviations of half a stop are
+/// detail of a surface, and a step of three stops is an edge, of which 0.9 is kept.
 const DETAIL: f32 = 0.25;
 
-/// Log odds are clamped to this: beyond it, surroundings are completely dark or bright.
+/// Log odds are clamped to -ENDS..=ENDS: beyond this range, surroundings are completely dark or bright.
 const ENDS: f32 = 10.0;
 
 /// The brightness around each pixel of a picture.
@@ -27,7 +28,8 @@ pub(super) struct Surroundings {
 }
 
 impl Surroundings {
-    /// Computes the surroundings in a picture `width` pixels wide with the luminances `display`, 0..=1, of cells of `side` pixels.
+    /// Computes the surroundings in a picture `width` pixels wide with the luminances `display`, 0..=1, of cells of
+    /// `side` pixels.
     pub fn new(display: &Plane<f32>, side: usize, width: usize) -> Self {
         let odds =
             |y: &f32| (log2(y.max(f32::MIN_POSITIVE)) - log2((1.0 - y).max(f32::MIN_POSITIVE))).clamp(-ENDS, ENDS);
@@ -37,7 +39,8 @@ impl Surroundings {
         Surroundings { guide, columns }
     }
 
-    /// Replaces the log odds of pixels, the first of which is in column `x`, by those of their surroundings; `lines` are those of the row.
+    /// Replaces the log odds of consecutive pixels, starting in column `x`, by the log odds of their surroundings.
+    /// `lines` are what the guide gives for this row of the picture.
     #[inline(always)]
     pub fn around<const N: usize>(&self, x: usize, lines: &[[f32; 2]], odds: &mut [f32; N]) {
         for (t, [a, b]) in odds.iter_mut().zip(interpolated(&self.columns, x, lines)) {

@@ -1,8 +1,9 @@
 //! White balance: the light that is shown as white.
 //!
-//! In: the option. Out: a [`Light`] and its chromaticity. Cost: negligible.
-//! Source: CIE 15:2018, section 4.1.2 (daylight); Krystek, "An algorithm to calculate correlated colour temperature" (1985), equations 1 and 2 (black
-//! bodies); ANSI/IES TM-30-20, annex B (black bodies below 4000 K, daylight above 5000 K, a mixture between); Adobe, DNG SDK 1.7 (the unit of the tint).
+//! In: the option. Out: a [`Light`] and its chromaticity. Cost: negligible. Source: CIE 15:2018, section 4.1.2
+//! (daylight); Krystek, "An algorithm to calculate correlated colour temperature" (1985), equations 1 and 2 (black
+//! bodies); ANSI/IES TM-30-20, annex B (black bodies below 4000 K, daylight above 5000 K, a mixture between); Adobe,
+//! DNG SDK 1.7 (the unit of the tint).
 
 use crate::error::{Error, Result};
 use std::fmt;
@@ -28,20 +29,21 @@ pub enum WhiteBalance {
 pub struct Light {
     /// Correlated colour temperature in kelvins.
     pub kelvin: f64,
-    /// How much greener the light is than daylight or a black body of that temperature: 3000 times the distance in CIE 1960 uv. The picture becomes more
-    /// magenta by as much.
+    /// How much greener the light is than daylight or a black body of that temperature: 3000 times the distance in CIE
+    /// 1960 uv. The picture becomes more magenta by as much.
     pub tint: f64,
 }
 
 /// Range of temperatures in kelvins: from candle light to the bluest sky.
 pub const KELVINS: (f64, f64) = (2000.0, 25000.0);
-/// Range of tints, as in raw converters: a distance of 0.05 in uv, beyond which the correlated colour temperature is not meaningful.
+/// Range of tints, as in raw converters: a distance of 0.05 in uv, beyond which the correlated colour temperature is
+/// not meaningful.
 pub const TINTS: (f64, f64) = (-150.0, 150.0);
 /// Tints per unit of uv, as in the DNG SDK and the raw converters built on it.
 const TINTS_PER_UV: f64 = 3000.0;
 /// The white point of displays.
 pub(super) const D65: Light = Light { kelvin: 6504.0, tint: 0.0 };
-/// The same, as rounded by the sRGB standard.
+/// The CIE 1931 xy chromaticity of D65, as rounded by the sRGB standard.
 const D65_XY: [f64; 2] = [0.3127, 0.3290];
 
 impl Light {
@@ -55,21 +57,23 @@ impl Light {
         Light { kelvin: self.kelvin.round(), tint: (10.0 * self.tint).round() / 10.0 }
     }
 
-    /// The CIE 1931 xy chromaticity, relative to D65.
+    /// Returns the CIE 1931 xy chromaticity, relative to D65.
     pub fn xy(self) -> [f64; 2] {
         xy(self.uv())
     }
 
-    /// The CIE 1960 uv chromaticity.
+    /// Returns the CIE 1960 uv chromaticity.
     fn uv(self) -> [f64; 2] {
         let ([u, v], [du, dv]) = (locus(self.kelvin), green(self.kelvin));
-        // The daylight formula differs from the standard's white by 1e-5.
+        // The daylight formula at 6504 K differs from the standard's white by 1e-5, which is corrected at all
+        // temperatures.
         let ([u65, v65], at65) = (uv(D65_XY), locus(D65.kelvin));
         let by = self.tint / TINTS_PER_UV;
         [u + by * du + (u65 - at65[0]), v + by * dv + (v65 - at65[1])]
     }
 
-    /// The light with this xy chromaticity, by the nearest temperature; `None` when it is too far from the locus.
+    /// Returns the light with this xy chromaticity, by the nearest temperature; `None` when it is too far from the
+    /// locus.
     pub fn of_xy(chromaticity: [f64; 2]) -> Option<Light> {
         let [u, v] = uv(chromaticity);
         // Equal steps of reciprocal temperature look alike.
@@ -101,12 +105,12 @@ impl Light {
     /// Checks that temperature and tint are in range.
     ///
     /// # Errors
-    /// [`Error::Option`] when one of them is not.
+    /// [`Error::Option`] when temperature or tint is out of range.
     pub(super) fn validate(self) -> Result<()> {
         self.out_of_range().map_or(Ok(()), |reason| Err(Error::Option { option: OPTION, reason }))
     }
 
-    /// Why temperature or tint is not usable; `None` when both are in range.
+    /// Returns why temperature or tint is not usable; `None` when both are in range.
     fn out_of_range(self) -> Option<String> {
         if !(KELVINS.0..=KELVINS.1).contains(&self.kelvin) {
             return Some(format!("{} K is outside of {} to {} K; {FORMS}", self.kelvin, KELVINS.0, KELVINS.1));
@@ -124,14 +128,14 @@ const FORMS: &str = "give `auto`, `as-shot`, a temperature as in `5500` or `5500
 /// Largest deviation from the perpendicular to the locus, in tints; larger ones occur beyond the ends of the range.
 const BESIDE: f64 = 1.0;
 
-/// The CIE 1960 uv of daylight and black bodies of temperature `t`, in kelvins.
+/// Returns the CIE 1960 uv of daylight and black bodies of temperature `t`, in kelvins.
 fn locus(t: f64) -> [f64; 2] {
     let daylight = 0.001 * (t - 4000.0).clamp(0.0, 1000.0);
     let ([a, b], [c, d]) = (black_body(t.min(5000.0)), self::daylight(t.max(4000.0)));
     [a + daylight * (c - a), b + daylight * (d - b)]
 }
 
-/// Krystek's rational approximations, exact to 1e-4 from 1000 to 15000 K.
+/// Returns the uv of a black body by Krystek's rational approximations, exact to 1e-4 from 1000 to 15000 K.
 fn black_body(t: f64) -> [f64; 2] {
     let u = (0.860_117_757 + t * (1.541_182_54e-4 + t * 1.286_412_12e-7))
         / (1.0 + t * (8.424_202_35e-4 + t * 7.081_451_63e-7));
@@ -140,7 +144,7 @@ fn black_body(t: f64) -> [f64; 2] {
     [u, v]
 }
 
-/// CIE 15, equations 4.5 to 4.7, from 4000 to 25000 K.
+/// Returns the uv of daylight by CIE 15, equations 4.5 to 4.7, from 4000 to 25000 K.
 fn daylight(t: f64) -> [f64; 2] {
     let x = if t <= 7000.0 {
         0.244_063 + (0.099_11e3 + (2.9678e6 - 4.6070e9 / t) / t) / t
@@ -150,7 +154,7 @@ fn daylight(t: f64) -> [f64; 2] {
     uv([x, x * (2.870 - 3.0 * x) - 0.275])
 }
 
-/// The unit vector perpendicular to the locus at `t`, towards green.
+/// Returns the unit vector perpendicular to the locus at `t`, towards green.
 fn green(t: f64) -> [f64; 2] {
     // Central difference of a millionth of the temperature.
     let (a, b) = (locus(t * (1.0 - 1e-6)), locus(t * (1.0 + 1e-6)));
@@ -232,7 +236,8 @@ impl fmt::Display for Light {
 mod tests {
     use super::*;
 
-    /// CIE 15, tables of daylight and of black bodies: A (2856 K) is a black body, D50 (5003 K) and D75 (7504 K) are daylight.
+    /// CIE 15, tables of daylight and of black bodies: A (2856 K) is a black body, D50 (5003 K) and D75 (7504 K) are
+    /// daylight.
     #[test]
     fn lights_have_the_published_chromaticities() {
         for (kelvin, x, y) in [
@@ -245,7 +250,7 @@ mod tests {
             let [a, b] = Light { kelvin, tint: 0.0 }.xy();
             assert!((a - x).abs() < 4e-4 && (b - y).abs() < 4e-4, "{kelvin}: {a} {b}");
         }
-        // To the digits of the standard.
+        // D65 is exact to the digits of the standard.
         let [x, y] = D65.xy();
         assert!((x - 0.3127).abs() < 1e-12 && (y - 0.3290).abs() < 1e-12 && D65.is_white());
     }

@@ -1,9 +1,10 @@
 //! Encoding of linear light as code values.
 //!
-//! In: linear RGB, 0 to 1 of display white. Out: code values of 8 or 16 bits, rounded to nearest, by the transfer function of the picture's [`Colours`];
-//! or the light itself when it is still to be resized. Cost: 2 ns a value; the tables are made once, 50 kB for each transfer function. Source:
-//! IEC 61966-2-1:1999 (sRGB),
-//! section 4.3; SMPTE EG 432-1 and Apple's Display P3, which has sRGB's transfer function; Adobe RGB (1998) Color Image Encoding, section 4.3.4.
+//! In: linear RGB, 0 to 1 of display white. Out: code values of 8 or 16 bits, rounded to nearest, by the transfer
+//! function of the picture's [`Colours`]; or the light itself when it is still to be resized. Cost: 2 ns a value; the
+//! tables are made once, 50 kB for each transfer function. Source: IEC 61966-2-1:1999 (sRGB), section 4.3; SMPTE EG
+//! 432-1 and Apple's Display P3, which has sRGB's transfer function; Adobe RGB (1998) Color Image Encoding, section
+//! 4.3.4.
 
 use crate::bracket::colour::{Conversion, Curve, Primaries, Profile, linear_to_srgb, srgb_to_linear};
 use crate::simd::{Loops, at_most, floor32, integer32, vectorised};
@@ -29,7 +30,7 @@ pub enum Colours {
 const ADOBE: f64 = 563.0 / 256.0;
 
 impl Colours {
-    /// The primaries and white point.
+    /// Returns the primaries and the white point.
     pub fn primaries(self) -> Primaries {
         match self {
             Colours::Srgb => Primaries::SRGB,
@@ -38,7 +39,7 @@ impl Colours {
         }
     }
 
-    /// The linear light of a code value, both 0 to 1.
+    /// Returns the linear light of a code value, both 0 to 1.
     pub fn light(self, code: f64) -> f64 {
         match self {
             Colours::Srgb | Colours::DisplayP3 => srgb_to_linear(code),
@@ -46,7 +47,7 @@ impl Colours {
         }
     }
 
-    /// The inverse of [`light`](Self::light); light is clamped to 0..=1.
+    /// Returns the code value of linear light, the inverse of [`light`](Self::light); light is clamped to 0..=1.
     pub fn code(self, light: f64) -> f64 {
         match self {
             Colours::Srgb | Colours::DisplayP3 => linear_to_srgb(light),
@@ -54,7 +55,7 @@ impl Colours {
         }
     }
 
-    /// The ICC profile; `None` for sRGB, which most formats mark in their own way.
+    /// Returns the ICC profile; `None` for sRGB, which most formats mark in their own way.
     pub fn profile(self) -> Option<Profile> {
         match self {
             Colours::Srgb => None,
@@ -69,17 +70,17 @@ impl Colours {
 #[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
 #[strum(serialize_all = "kebab-case")]
 pub enum Depth {
-    /// Code values 0 to 255.
+    /// Pixel values 0 to 255.
     #[default]
     #[strum(serialize = "8")]
     Eight,
-    /// Code values 0 to 65535, for further editing.
+    /// Pixel values 0 to 65535, for further editing.
     #[strum(serialize = "16")]
     Sixteen,
 }
 
 impl Depth {
-    /// The number of bits.
+    /// Returns the number of bits.
     pub fn bits(self) -> u8 {
         match self {
             Depth::Eight => 8,
@@ -88,18 +89,18 @@ impl Depth {
     }
 }
 
-/// Low bits of a float that do not select a cell of the tables. There are 256 cells per octave, each narrower than an 8-bit code value, over which 16-bit
-/// code values are linear to 0.03.
+/// Number of low bits of a float that do not select a cell of the tables. There are 256 cells per octave. Each is
+/// narrower than an 8-bit code value, and over each, 16-bit code values are linear to 0.03.
 const CELL_BITS: u32 = 15;
-/// Octaves below 1 that have cells: darker light is code value 0 even for a gamma of 2.2 and 16 bits.
+/// Number of octaves below 1 that have cells: darker light is code value 0 even for a gamma of 2.2 and 16 bits.
 const OCTAVES: u32 = 40;
 /// The smallest light that has a cell of its own.
 const LEAST: f32 = f32::from_bits((127 - OCTAVES) << 23);
-/// The cell of [`LEAST`].
+/// The high bits of [`LEAST`], which are subtracted from those of a float to get the index of its cell.
 const FIRST: u32 = (127 - OCTAVES) << (23 - CELL_BITS);
 /// Number of cells from [`LEAST`] to 1.
 const CELLS: usize = (OCTAVES << (23 - CELL_BITS)) as usize;
-/// Pieces of the table from code values to light.
+/// Number of pieces of the table from code values to light.
 const PIECES: usize = 4096;
 
 struct Tables {
@@ -107,9 +108,10 @@ struct Tables {
     base: Vec<u8>,
     /// For each 8-bit code value, the linear light at which the next one begins.
     next: [f32; 256],
-    /// The unrounded 16-bit code value at the lower edge of every cell, and of one more.
+    /// The unrounded 16-bit code value at the lower edge of every cell, and at the upper edge of the last.
     fine: Vec<f32>,
-    /// The light at the lower edge of every piece, and of one more.
+    /// The linear light at the lower edge of every piece, and at the upper edge of the last; pieces divide code values
+    /// 0..=1.
     light: Vec<f32>,
 }
 
@@ -138,12 +140,12 @@ static ADOBE_RGB: LazyLock<Tables> = LazyLock::new(|| Tables::of(Colours::AdobeR
 #[derive(Clone, Copy)]
 pub struct Encoder {
     tables: &'static Tables,
-    /// Conversion from linear sRGB to the gamut of the output; `None` if that is sRGB.
+    /// Conversion from linear sRGB to the gamut of the output; `None` if the output is sRGB.
     gamut: Option<Conversion>,
 }
 
 impl Encoder {
-    /// The encoder of `colours`; the first call for a transfer function computes its tables.
+    /// Returns the encoder of `colours`; the first call for a transfer function computes its tables.
     pub fn of(colours: Colours) -> Self {
         let gamut = match colours {
             Colours::Srgb => None,
@@ -161,7 +163,7 @@ impl Encoder {
         }
     }
 
-    /// The cell of each of `light`.
+    /// Returns the index of the cell of each value of `light`.
     #[inline(always)]
     fn cells<const N: usize>(light: &[f32; N]) -> [u16; N] {
         let mut cells = [0u16; N];
@@ -172,7 +174,7 @@ impl Encoder {
     }
 }
 
-/// `light` clamped to the range of the cells.
+/// Returns `light` clamped to the range of the cells.
 #[inline(always)]
 fn within(light: f32) -> f32 {
     at_most(if light > LEAST { light } else { LEAST }, 1.0)
@@ -282,7 +284,7 @@ mod tests {
 
     const ALL: [Colours; 3] = [Colours::Srgb, Colours::DisplayP3, Colours::AdobeRgb];
 
-    /// The transfer functions as printed in the standards, in doubles.
+    /// Returns the code value of `light` by the transfer functions as printed in the standards, in `f64`.
     fn textbook(colours: Colours, light: f64) -> f64 {
         match colours {
             Colours::AdobeRgb => libm::pow(light, 256.0 / 563.0),
@@ -295,8 +297,9 @@ mod tests {
         C::of_light(encoder, &[light; 3])[1]
     }
 
-    /// The standard's two branches differ by 3e-8 at the knee; a float nearer than 1e-6 of a code value to a boundary may fall to either side. 16-bit code
-    /// values are interpolated over 1/256 octave (0.03 of one), and floats of 24 bits round them by 0.01.
+    /// Tolerances: the standard's two branches differ by 3e-8 at the knee, and a float nearer than 1e-6 of a code value
+    /// to a boundary may fall to either side. 16-bit code values are off by 0.03 from interpolation over 1/256 octave,
+    /// and by 0.01 from the rounding of `f32`.
     #[test]
     fn codes_are_those_of_the_standards() {
         for colours in ALL {

@@ -1,4 +1,5 @@
-//! Conversion to the display: linear RGB of any primaries to linear sRGB, and gamut mapping by desaturation at constant hue.
+//! Conversion to the display: linear RGB of any primaries to linear sRGB, and gamut mapping by desaturation at constant
+//! hue.
 //!
 //! In: radiance RGB, or linear RGB relative to display white. Out: converted colours. Cost: some nanoseconds a pixel.
 //! Source: IEC 61966-2-1:1999 (sRGB), section 4.3.
@@ -11,7 +12,7 @@ use crate::bracket::colour::{Conversion, Primaries};
 /// Weights of red, green and blue in the luminance of linear sRGB: the second row of its matrix to XYZ.
 pub const LUMINANCE: [f32; 3] = [0.2126, 0.7152, 0.0722];
 
-/// The luminance of a linear sRGB colour.
+/// Returns the luminance of a linear sRGB colour.
 #[inline(always)]
 pub fn luminance([r, g, b]: [f32; 3]) -> f32 {
     LUMINANCE[0] * r + LUMINANCE[1] * g + LUMINANCE[2] * b
@@ -34,11 +35,11 @@ impl ToSrgb {
     /// Converts from `primaries` such that light of the chromaticity `light` (CIE xy, relative to D65) becomes white.
     pub fn balanced(primaries: &Primaries, light: [f64; 2]) -> Self {
         let known = Conversion::balanced(primaries, &Primaries::SRGB, light);
-        // Degenerate primaries are treated as sRGB, as above.
+        // Degenerate primaries are treated as sRGB, as by [`from`](Self::from).
         ToSrgb(known.or_else(|| Conversion::balanced(&Primaries::SRGB, &Primaries::SRGB, light)))
     }
 
-    /// The colour in linear sRGB; colours outside its gamut have components below 0.
+    /// Returns the colour in linear sRGB; colours outside its gamut have components below 0.
     #[inline(always)]
     pub fn apply(&self, rgb: [f32; 3]) -> [f32; 3] {
         match &self.0 {
@@ -51,8 +52,9 @@ impl ToSrgb {
 /// Fraction of the way from grey to the bright edge of the gamut above which colours are compressed.
 const KNEE: f32 = 0.75;
 
-/// Desaturates `rgb`, of luminance `y` relative to display white, until it is in 0..=1. Hue and luminance are kept. Towards the bright edge colours are
-/// compressed from `KNEE` on, so that bright saturated areas keep their texture and fade to white.
+/// Desaturates `rgb`, of luminance `y` relative to display white, until it is in 0..=1. Hue and luminance are kept.
+/// Towards the bright edge colours are compressed from `KNEE` on, so that bright saturated areas keep their texture and
+/// fade to white.
 #[inline(always)]
 pub fn into_gamut(rgb: [f32; 3], y: f32) -> [f32; 3] {
     let [r, g, b] = rgb;
@@ -95,7 +97,8 @@ mod tests {
         assert_eq!(ToSrgb::from(&none), ToSrgb(None));
     }
 
-    /// Luminance is kept to rounding, the proportions of the differences from grey (hue) are kept, and the result is within 0..=1.
+    /// Luminance is kept to rounding, the proportions of the differences from grey (hue) are kept, and the result is
+    /// within 0..=1.
     #[test]
     fn the_gamut_is_entered_at_the_same_hue_and_luminance() {
         for rgb in [[3.0, 0.2, 0.1], [0.0, 0.0, 8.0], [0.9, 0.95, 1.3], [0.5, -0.1, 0.2], [0.2, 0.3, 0.1]] {

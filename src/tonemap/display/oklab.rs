@@ -1,6 +1,7 @@
 //! OkLab, Björn Ottosson's perceptual colour space, in which desaturation along a straight line keeps the hue.
 //!
-//! In: linear sRGB. Out: lightness, a (green to red) and b (blue to yellow); and back. Cost: 8 ns a pixel scalar, 2 on wide vectors. Source: Ottosson, "A perceptual color space for image processing" (2020), the matrices of 2021-01-25.
+//! In: linear sRGB. Out: lightness, a (green to red) and b (blue to yellow); and back. Cost: 8 ns a pixel scalar, 2 on
+//! wide vectors. Source: Ottosson, "A perceptual color space for image processing" (2020), the matrices of 2021-01-25.
 
 use crate::simd::{at_least, at_most};
 
@@ -12,7 +13,8 @@ const TO_CONES: [[f32; 3]; 3] = [
     [0.211_903_5, 0.680_699_5, 0.107_396_96],
     [0.088_302_46, 0.281_718_85, 0.629_978_7],
 ];
-/// Coefficients of L - M and S - M. Each row of Ottosson's matrix sums to 1, so M has the coefficient 1 and grey stays exactly grey.
+/// For the conversion of cone responses L, M and S to linear sRGB: coefficients of L - M and S - M. Each row of
+/// Ottosson's matrix sums to 1, so M has the coefficient 1 and grey stays exactly grey.
 const FROM_CONES: [[f32; 2]; 3] =
     [[4.076_741_7, 0.230_969_94], [-1.268_438, -0.341_319_38], [-0.004_196_086_3, 1.707_614_7]];
 const TO_LAB: [[f32; 3]; 3] = [
@@ -32,10 +34,11 @@ fn times(m: &[[f32; 3]; 3], v: [f32; 3]) -> [f32; 3] {
     ]
 }
 
-/// The cube root of `value` >= 0, with a relative error below 3e-7.
+/// Returns the cube root of `value` >= 0, with a relative error below 3e-7.
 #[inline(always)]
 fn cube_root(value: f32) -> f32 {
-    // Dividing the bits by 3 divides the exponent: within 6 %. Each of Halley's steps cubes the error or better.
+    // Dividing the bits by 3 divides the exponent, which gives the root within 6 %. Each of Halley's steps cubes the
+    // error or better.
     let mut root = f32::from_bits(value.to_bits() / 3 + 709_921_077);
     for _ in 0..2 {
         let cube = root * root * root;
@@ -44,7 +47,7 @@ fn cube_root(value: f32) -> f32 {
     root
 }
 
-/// The colour of `rgb`; negative cone responses are clamped to 0.
+/// Returns the OkLab colour of `rgb`; negative cone responses are clamped to 0.
 #[inline(always)]
 pub(crate) fn from_linear(rgb: [f32; 3]) -> Lab {
     // Written out, because closures over arrays are not always inlined, and then not vectorised.
@@ -52,7 +55,7 @@ pub(crate) fn from_linear(rgb: [f32; 3]) -> Lab {
     times(&TO_LAB, [cube_root(at_least(l, 0.0)), cube_root(at_least(m, 0.0)), cube_root(at_least(s, 0.0))])
 }
 
-/// The linear sRGB of `lab`; components are below 0 or above 1 outside its gamut.
+/// Returns the linear sRGB of `lab`; components are below 0 or above 1 outside its gamut.
 #[inline(always)]
 pub(crate) fn to_linear(lab: Lab) -> [f32; 3] {
     let [l, m, s] = times(&FROM_LAB, lab);
@@ -65,7 +68,7 @@ pub(crate) fn to_linear(lab: Lab) -> [f32; 3] {
     ]
 }
 
-/// Bisection steps to find the edge of the gamut: to 1/512 of the chroma, less than half an 8-bit code value.
+/// Number of bisection steps to find the edge of the gamut: to 1/512 of the chroma, less than half an 8-bit code value.
 const HALVINGS: usize = 9;
 
 /// Tolerance for rounding errors of the conversion.
@@ -90,8 +93,9 @@ pub(crate) struct Shown<const N: usize> {
 }
 
 impl<const N: usize> Shown<N> {
-    /// Converts `rgb`, linear sRGB of the scene, in place to the primaries of the display, in 0..=1. Hue is kept but for the rotation; chroma is reduced
-    /// where the gamut requires it. `to_display` converts linear sRGB to the primaries of the display.
+    /// Converts `rgb`, linear sRGB of the scene, in place to the primaries of the display, in 0..=1. Hue is kept but
+    /// for the rotation; chroma is reduced where the gamut requires it. `to_display` converts linear sRGB to the
+    /// primaries of the display.
     #[inline(always)]
     pub fn colours(&self, [red, green, blue]: &mut [[f32; N]; 3], to_display: impl Fn([f32; 3]) -> [f32; 3]) {
         for i in 0..N {
@@ -118,7 +122,7 @@ impl<const N: usize> Shown<N> {
                 kept[i] = if is { at_least(kept[i], part[i]) } else { kept[i] };
                 part[i] = at_most(if is { part[i] + step } else { part[i] - step }, 1.0);
             }
-            // Most colours are in the gamut.
+            // Most blocks are in the gamut: the first step finds that.
             if kept.iter().all(|kept| *kept == 1.0) {
                 break;
             }

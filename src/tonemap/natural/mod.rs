@@ -1,16 +1,19 @@
 //! hdralign's own operator: exposure fusion of exposures computed from the radiance.
 //!
-//! In: a scene. Out: its tones. Cost: about 2 us a cell, of which there are at most [`CELLS`], for ten exposures; three interpolations a pixel.
-//! Source: [exposure fusion](super::fusion) (Mertens et al. 2007) applied to computed exposures. Their number follows from the scene's highlights and the
-//! bracket's longest exposure; they are at most two stops apart and free of moving objects. Radiance maps from other programs are handled the same way.
+//! In: a scene. Out: its tones. Cost: about 2 us a cell, of which there are at most [`CELLS`], for ten exposures; three
+//! interpolations a pixel. Source: [exposure fusion](super::fusion) (Mertens et al. 2007) applied to computed
+//! exposures. Their number follows from the scene's highlights and the bracket's longest exposure; they are at most two
+//! stops apart (for up to 30 stops) and free of moving objects. Radiance maps from other programs are handled the same
+//! way.
 //!
-//! 1. The scene, on a grid, is exposed: from the exposure that shows its highlights to the longest of the bracket. The longest exposure that the
-//!    photographer chose shows how bright the place is, so that night scenes stay dark.
+//! 1. The scene, on a grid, is exposed: from the exposure that shows its highlights to the longest of the bracket. The
+//!    longest exposure that the photographer chose shows how bright the place is, so that night scenes stay dark.
 //! 2. The exposures are fused; black and white are set near the darkest and brightest values of the fused picture.
-//! 3. A contrast curve is applied. A power function darkens the picture where the longest exposure is dark, and brings radiance without photographs to
-//!    the brightness of a photograph.
-//! 4. Linear functions carry luminance from the grid to the pixels (`guide`). Colours are those of a photograph that shows the place at that
-//!    luminance. When nothing is known of the photographs, the hue is that of the scene and chroma is never increased.
+//! 3. A contrast curve is applied. A power function darkens the picture where the longest exposure is dark, and brings
+//!    radiance without photographs to the brightness of a photograph.
+//! 4. Linear functions carry luminance from the grid to the pixels (`guide`). Colours are those of a photograph that
+//!    shows the place at that luminance. When nothing is known of the photographs, the hue is that of the scene and
+//!    chroma is never increased.
 //!
 //! The constants below were chosen by eye and in blind comparisons on sixteen photographed brackets.
 
@@ -31,8 +34,8 @@ use photograph::Photograph;
 /// Settings of the operator.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Options {
-    /// Mean code value of the picture, 0 to 1; the result is darker when the photographs were. `None`: that of the fused photographs, or 0.48 for
-    /// radiance without known photographs.
+    /// Mean code value of the picture, 0 to 1; the result is darker when the photographs were. `None`: that of the
+    /// fused photographs, or 0.48 for radiance without known photographs.
     pub brightness: Option<f64>,
     /// Strength of the contrast curve: 0 is none, 1 raises contrast by half in the middle tones.
     pub contrast: f64,
@@ -56,7 +59,7 @@ impl Options {
                 "brightness",
                 (0.1, 0.9),
                 &mut self.brightness,
-                "mean code value of the picture, 0 to 1",
+                "mean pixel value of the picture, 0 to 1",
             ),
             Setting::number(
                 "contrast",
@@ -75,9 +78,10 @@ pub const CELLS: usize = 1 << 17;
 
 /// Code value (0 to 1) of the highlights in the shortest exposure, and the share of pixels below the highlights.
 const LIGHTS: (f64, f64) = (0.9, 0.999);
-/// Code value (0 to 1) of the shadows in the longest exposure when no photographs are known, and the share of pixels below the shadows.
+/// Code value (0 to 1) of the shadows in the longest exposure when no photographs are known, and the share of pixels
+/// below the shadows.
 const SHADOWS: (f64, f64) = (0.4, 0.01);
-/// Contrast and stops to white, typical of cameras, when no photographs are known.
+/// Contrast and stops to white that are assumed when no photographs are known: typical of cameras.
 const CAMERA: (f64, f64) = (1.4, 2.6);
 /// Largest distance of two exposures, in stops.
 const STEP: f64 = 2.0;
@@ -86,11 +90,13 @@ const MOST_EXPOSURES: usize = 16;
 
 /// Shares of the cells of the fused picture that become black, and white.
 const ENDS: (f64, f64) = (0.005, 0.003);
-/// Black is this share of the code value of the dark end, which counts as at most the second value.
+/// Code value of black as a share of that of the dark end of the fused picture, and the largest code value (0 to 1)
+/// that the dark end counts as.
 const BLACK: (f32, f32) = (0.5, 0.15);
 /// Smallest code value (0 to 1) of white.
 const WHITE: f32 = 0.8;
-/// Code value above which the brightest values are compressed softly; fusion can exceed white, and darkening everything would cost contrast.
+/// Code value (0 to 1) above which the brightest values are compressed softly; fusion can exceed white, and darkening
+/// everything would cost contrast.
 const KNEE: f32 = 0.8;
 
 /// Largest mean code value of the picture, as a share of that of the longest exposure.
@@ -100,11 +106,11 @@ const BRIGHTNESS: f64 = 0.48;
 /// Smallest and largest exponent used to reach the brightness.
 const POWERS: (f64, f64) = (0.6, 1.4);
 
-/// Added to luminances (relative to display white) before the logarithm: code value 6. Darker values get little weight in the fit, and their colour
-/// cannot be distinguished from noise.
+/// Added to luminances (relative to display white) before the logarithm: code value 6. Darker values get little weight
+/// in the fit, and their colour cannot be distinguished from noise.
 const DARKEST: f32 = 0.002;
 
-/// The tones of `scene`.
+/// Returns the tones of `scene`.
 pub fn natural(scene: &Scene, options: &Options) -> Tones {
     let grid = scene.coarser(CELLS);
     let (contrast, white_stops) = scene.photographed.map_or(CAMERA, |p| (p.contrast, p.white_stops));
@@ -137,7 +143,7 @@ pub fn natural(scene: &Scene, options: &Options) -> Tones {
     Tones::new(scene.to_srgb, guide, curve, scene.size.0).with_chroma(chroma)
 }
 
-/// Red, green and blue over luminance, from the ratios of red and blue.
+/// Returns R/Y, G/Y and B/Y, where Y is luminance, from R/Y and B/Y.
 fn colour([red, blue]: [f32; 2]) -> [f32; 3] {
     let [r, g, b] = super::display::LUMINANCE;
     [red, ((1.0 - r * red - b * blue) / g).max(0.0), blue]
@@ -147,10 +153,12 @@ fn scaled(colour: [f32; 3], by: f32) -> [f32; 3] {
     colour.map(|c| c * by)
 }
 
-/// The factor on the chroma of `colour` (of luminance 1) and the rotation of its hue in radians, when shown at the luminance `display`.
+/// Returns the factor on the chroma of `colour` (of luminance 1) and the rotation of its hue in radians, when shown at
+/// the luminance `display`.
 ///
-/// Both are those of a photograph that shows the colour at that luminance, in which lamp light is golden, not pink. When the curve of the photographs is
-/// not known, the hue rotates little and only where nearly white colours get paler, and chroma is never increased.
+/// Both are those of a photograph that shows the colour at that luminance, in which lamp light is golden, not pink.
+/// When the curve of the photographs is not known, the hue rotates little and only where nearly white colours get
+/// paler, and chroma is never increased.
 fn as_photographed(photograph: &Photograph, is_known: bool, colour: [f32; 3], display: f32) -> [f32; 2] {
     let lab = |rgb| {
         let [_, a, b] = oklab::from_linear(rgb);
@@ -176,7 +184,8 @@ const MOST_TURN: (f32, f32) = (0.157, 0.436);
 /// Chroma at or below which a colour counts as grey.
 const GREY: f32 = 1e-3;
 
-/// The exposures to compute, rising: log2 of the factor on luminance that brings it to 1 at the middle code value.
+/// Returns the exposures to compute, rising: each is log2 of the factor on luminance after which luminance 1 has the
+/// middle code value.
 fn exposures(scene: &Scene, photograph: &Photograph) -> Vec<f64> {
     let shows = |(code, part): (f64, f64)| photograph.stop(code) - scene.percentile(part);
     let (lights, shadows) = (shows(LIGHTS), shows(SHADOWS));
@@ -190,7 +199,7 @@ fn exposures(scene: &Scene, photograph: &Photograph) -> Vec<f64> {
     (0..=count).map(|i| shortest + range * i as f64 / count as f64).collect()
 }
 
-/// The mean code value of `grid` in the exposure `stop`.
+/// Returns the mean code value of `grid` in the exposure `stop`.
 fn mean_code(grid: &Scene, photograph: &Photograph, stop: f64) -> f64 {
     let logs = grid.logs.as_slice();
     let step = (logs.len() / 4096).max(1);
@@ -199,7 +208,7 @@ fn mean_code(grid: &Scene, photograph: &Photograph, stop: f64) -> f64 {
     codes.sum::<f64>() / count as f64
 }
 
-/// The fused exposures of `grid`: code values, some of which exceed 0..=1.
+/// Returns the fused exposures of `grid`: code values, some of which are outside of 0..=1.
 fn fused(grid: &Scene, exposures: &[f64], photograph: &Photograph) -> Channels {
     let (width, height) = (grid.logs.width(), grid.logs.height());
     let stops: Channels = std::array::from_fn(|c| {
@@ -231,7 +240,8 @@ struct Levels {
 }
 
 impl Levels {
-    /// Sets the levels such that the mean code value of the luminance of `fused` is `brightness`, or as near as `powers` allow.
+    /// Sets the levels such that the mean code value of the luminance of `fused` is `brightness`, or as near as
+    /// `powers` allow.
     fn new(fused: &Channels, brightness: f64, (mut low, mut high): (f64, f64), contrast: f64) -> Self {
         let [r, g, b] = fused.each_ref().map(|plane| plane.as_slice());
         let mut greys: Vec<f32> = r.iter().zip(g).zip(b).map(|((r, g), b)| (r + g + b) / 3.0).collect();
@@ -254,7 +264,7 @@ impl Levels {
         levels
     }
 
-    /// Linear light of fused code values, scaled from black to white.
+    /// Returns the linear light of fused code values, scaled from black to white.
     fn levelled(&self, codes: [f32; 3]) -> [f32; 3] {
         codes.map(|code| {
             let code = ((code - self.black) / (self.white - self.black)).max(0.0);
@@ -264,14 +274,14 @@ impl Levels {
         })
     }
 
-    /// The code value of a luminance of the levelled picture, after power and contrast curve.
+    /// Returns the code value of a luminance of the levelled picture, after power and contrast curve.
     fn code(&self, linear: f64) -> f64 {
         let code = libm::pow(linear_to_srgb(linear), self.power);
         // Interpolates towards the smooth step, whose slope is 1.5 in the middle.
         code + self.contrast * (code * code * (3.0 - 2.0 * code) - code)
     }
 
-    /// The luminance of fused code values, relative to display white.
+    /// Returns the luminance of fused code values, relative to display white.
     fn display(&self, codes: [f32; 3]) -> f32 {
         let light = luminance(self.levelled(codes)).max(DARKEST);
         srgb_to_linear(self.code(light.into())) as f32

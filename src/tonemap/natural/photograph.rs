@@ -1,9 +1,10 @@
 //! The tone curve of a camera: contrasty shadows, and decreasing contrast towards white.
 //!
-//! In: the contrast of a camera's pictures, and the stops of light from the middle code value to white. Out: the code value of a light, the light of a
-//! code value, and the colour in which a photograph shows a light. Cost: tables of 640 entries; one interpolation for each light, 40 for each colour.
-//! Source: the parameters are those of the response ([`Photographed`](crate::merge::Photographed)); the shape was fitted to fourteen photographed
-//! responses, whose slopes between codes 32 and 224 it matches to within 6 % (root mean square).
+//! In: the contrast of a camera's pictures, and the stops of light from the middle code value to white. Out: the code
+//! value of a light, the light of a code value, and the colour in which a photograph shows a light. Cost: tables of 640
+//! entries; one interpolation for each light, 40 for each colour. Source: the parameters are those of the response
+//! ([`Photographed`](crate::merge::Photographed)); the shape was fitted to fourteen photographed responses, whose
+//! slopes between codes 32 and 224 it matches to within 6 % (root mean square).
 //!
 //! With d the luminance on the display and s the light, both as logarithms to base 2, the slope at the code value z is
 //!
@@ -11,8 +12,8 @@
 //! dd / ds = c (1 - k t(z)),    t = 0 up to code 64, rising linearly with the code to 1 at 255
 //! ```
 //!
-//! where c and k follow from the contrast (the mean slope between codes 24 and 128) and from the stops from code 128 to white. A display's own curve has
-//! c = 1 and k = 0.
+//! where c and k follow from the contrast (the mean slope between codes 24 and 128) and from the stops from code 128 to
+//! white. A display's own curve has c = 1 and k = 0.
 
 use crate::bracket::colour::{linear_to_srgb, srgb_to_linear};
 use crate::simd::log2;
@@ -20,9 +21,10 @@ use crate::tonemap::display::luminance;
 
 /// The tone curve of a camera.
 pub(crate) struct Photograph {
-    /// Code values by the light in stops; 0 is the middle code value.
+    /// Code value, 0..=1, of each light; the lights are [`PER_STOP`](Self::PER_STOP) per stop over
+    /// [`STOPS`](Self::STOPS).
     codes: Vec<f32>,
-    /// Display luminance of each code value, relative to white.
+    /// Display luminance, relative to white, of each of these lights.
     shown: Vec<f32>,
     /// The light, in stops, of each of [`STEPS`] equally spaced code values, the last of which is white.
     stops: Vec<f64>,
@@ -30,19 +32,22 @@ pub(crate) struct Photograph {
 
 /// Steps from code value 0 to white: four for each 8-bit code value.
 const STEPS: usize = 1020;
-/// Code value up to which the slope is largest. Of 48, 64, 80 and 96, this and 48 match the fourteen responses best (6.3 and 6.2 % of the slope).
+/// Code value up to which the slope is largest. Of 48, 64, 80 and 96, this and 48 match the fourteen responses best
+/// (6.3 and 6.2 % of the slope).
 const SHADOWS: f64 = 64.0;
-/// Code values between which the mean slope is the contrast, as [`Photographed`](crate::merge::Photographed) measures it.
+/// Code values between which the mean slope is the contrast, as [`Photographed`](crate::merge::Photographed) measures
+/// it.
 const CONTRAST_CODES: (usize, usize) = (24, 128);
-/// Range of k: near 1 the slope is 0 at white, below 0 it increases.
+/// Range of k: near 1 the slope is 0 at white, below 0 the slope increases towards white.
 const LOSS: (f64, f64) = (-8.0, 0.9999);
 
 impl Photograph {
-    /// Table entries per stop, and the stops of the first and last entry relative to the middle code value.
+    /// Number of table entries per stop.
     const PER_STOP: f32 = 32.0;
+    /// Light of the first and of the last table entry, in stops from the middle code value.
     const STOPS: (f32, f32) = (-14.0, 6.0);
 
-    /// The curve with this contrast below the middle code value and `white_stops` from there to white.
+    /// Computes the curve with this contrast below the middle code value and `white_stops` from there to white.
     pub fn new(contrast: f64, white_stops: f64) -> Self {
         let (lights, stops) = curve(contrast, white_stops);
         let display = |stop: f64| {
@@ -66,7 +71,7 @@ impl Photograph {
         Photograph { codes, shown: shown.iter().map(|shown| *shown as f32).collect(), stops }
     }
 
-    /// The code value, 0..=1, of light of this stop.
+    /// Returns the code value, 0..=1, of light of this stop.
     pub fn code(&self, stop: f32) -> f32 {
         Self::at(&self.codes, stop)
     }
@@ -78,7 +83,8 @@ impl Photograph {
         p + (place - place.floor()) * (q - p)
     }
 
-    /// The linear display colour that a photograph gives to `colour` (at any scale) when exposed such that its luminance is `display`, below 1.
+    /// Returns the linear display colour that a photograph gives to `colour` (at any scale) when exposed such that its
+    /// luminance is `display`, below 1.
     pub fn showing(&self, colour: [f32; 3], display: f32) -> [f32; 3] {
         let stops = colour.map(|c| log2(c.max(f32::MIN_POSITIVE)));
         let exposed = |stop: f32| stops.map(|c| Self::at(&self.shown, c + stop));
@@ -97,7 +103,7 @@ impl Photograph {
         std::array::from_fn(|c| below[c] + part.clamp(0.0, 1.0) * (above[c] - below[c]))
     }
 
-    /// The light, in stops, of the code value `code`, 0..=1.
+    /// Returns the light, in stops, of the code value `code`, 0..=1.
     pub fn stop(&self, code: f64) -> f64 {
         let place = (code * STEPS as f64 - 1.0).clamp(0.0, (STEPS - 1) as f64);
         let below = (place as usize).min(STEPS - 2);
@@ -105,7 +111,8 @@ impl Photograph {
     }
 }
 
-/// For each of the [`STEPS`] code values above 0: the display luminance in stops from white, and the light in stops from the middle code value.
+/// Returns for each of the [`STEPS`] code values above 0 the display luminance in stops from white, and the light in
+/// stops from the middle code value.
 fn curve(contrast: f64, white_stops: f64) -> (Vec<f64>, Vec<f64>) {
     let lights: Vec<f64> = (1..=STEPS).map(|i| libm::log2(srgb_to_linear(i as f64 / STEPS as f64))).collect();
     let at = |code: usize| code * STEPS / 255 - 1;
@@ -135,7 +142,7 @@ fn curve(contrast: f64, white_stops: f64) -> (Vec<f64>, Vec<f64>) {
     (lights, stops)
 }
 
-/// t of the module documentation, for a code value 0..=1.
+/// Returns t of the module documentation, for a code value 0..=1.
 fn past_shadows(code: f64) -> f64 {
     ((255.0 * code - SHADOWS) / (255.0 - SHADOWS)).max(0.0)
 }
@@ -150,7 +157,8 @@ mod tests {
             let photograph = Photograph::new(contrast, white_stops);
             let code = |stop: f64| f64::from(photograph.code(stop as f32));
             assert!((code(0.0) - 128.0 / 255.0).abs() < 1e-4);
-            // White lies within a segment of the table, in which linear interpolation is off by up to 0.02 of the range of codes.
+            // White lies within a segment of the table, in which linear interpolation is off by up to 0.02 of the range
+            // of codes.
             assert!((code(white_stops) - 1.0).abs() < 6e-3 && code(white_stops + 1.0) > 0.9999);
             let light = |code: f64| libm::log2(srgb_to_linear(code / 255.0));
             let slope = (light(128.0) - light(24.0)) / (photograph.stop(128.0 / 255.0) - photograph.stop(24.0 / 255.0));
@@ -167,11 +175,12 @@ mod tests {
     fn a_display_s_own_curve_is_one_of_them() {
         let white = -libm::log2(srgb_to_linear(128.0 / 255.0));
         let photograph = Photograph::new(1.0, white);
-        // The last entry before white is at 2.19.
+        // Up to the last table entry before white, which is at 2.19 stops.
         for stop in (-400..218).map(|i| f64::from(i) / 100.0) {
             let expected = linear_to_srgb(libm::exp2(stop - white));
             let found = f64::from(photograph.code(stop as f32));
-            // Linear over 1/32 stop: an eighth of its square times the largest second derivative (0.11), and the error of the bisection.
+            // Linear interpolation over 1/32 stop: an eighth of its square times the largest second derivative (0.11)
+            // is 1.3e-5; and the error of the bisection.
             assert!((found - expected).abs() < 1e-4, "{stop}: {found} for {expected}");
         }
     }
@@ -185,7 +194,7 @@ mod tests {
         for display in [0.02, 0.1, 0.3, 0.6, 0.9] {
             for colour in [wood, grey] {
                 let found = luminance(photograph.showing(colour, display));
-                // Roundings of a hundredth of a stop's rise.
+                // Luminance is linear in the interpolated channels, so that only rounding remains.
                 assert!((found / display - 1.0).abs() < 1e-4, "{found} for {display}");
             }
             let [r, g, b] = photograph.showing(grey, display);

@@ -14,7 +14,7 @@ fn picture(map: &Plane<[f32; 3]>, options: &Options) -> Plane<[u8; 3]> {
     shown(map, None, options)
 }
 
-/// A dark room and a bright window, with texture in both, 10 stops apart.
+/// Returns a dark room and a bright window, with texture in both, 10 stops apart.
 fn room(factor: f32) -> Plane<[f32; 3]> {
     Plane::from_rows(240, 160, |y, row| {
         for (x, p) in row.iter_mut().enumerate() {
@@ -113,7 +113,8 @@ fn detail_increases_contrast_finer_than_a_cell() {
     assert!(f64::from(steps(2.0)) > 1.5 * f64::from(steps(1.0)), "{} {}", steps(2.0), steps(1.0));
 }
 
-/// Saturated light over ten stops keeps its OkLCh hue and gains no chroma at its luminance, within the rounding of code values.
+/// Saturated light over ten stops keeps its OkLCh hue and gains no chroma at its luminance, within the rounding of code
+/// values.
 #[test]
 fn hue_is_kept_and_saturation_does_not_increase() {
     let colours = [[1.0, 0.2, 0.06], [0.1, 0.3, 1.0], [0.2, 1.0, 0.1], [1.0, 0.9, 0.3]];

@@ -1,7 +1,8 @@
-//! Drago's adaptive logarithmic mapping: a logarithm whose base increases with luminance, which lifts dark parts and compresses bright ones.
+//! Drago's adaptive logarithmic mapping: a logarithm whose base increases with luminance, which lifts dark parts and
+//! compresses bright ones.
 //!
-//! In: a scene. Out: its tones, one curve for all pixels. Cost: none per pixel. Source: Drago, Myszkowski, Annen, Chiba, "Adaptive
-//! Logarithmic Mapping for Displaying High Contrast Scenes" (2003), section 3, equations 1 to 4.
+//! In: a scene. Out: its tones, one curve for all pixels. Cost: none per pixel. Source: Drago, Myszkowski, Annen,
+//! Chiba, "Adaptive Logarithmic Mapping for Displaying High Contrast Scenes" (2003), section 3, equations 1 to 4.
 
 use crate::tonemap::guide::Guide;
 use crate::tonemap::overview::Scene;
@@ -36,7 +37,7 @@ impl Options {
 /// Share of the pixels that may be clipped to white, so that a sun does not darken the rest.
 const CLIPPED: f64 = 0.001;
 
-/// The tones of `scene`.
+/// Returns the tones of `scene`.
 pub fn drago(scene: &Scene, options: &Options) -> Tones {
     let average = scene.average_within((scene.percentile(0.001), scene.percentile(0.999)));
     // Section 3: the adaptation luminance, adjusted for the bias.
@@ -78,7 +79,7 @@ mod tests {
                 let base = 2.0 + libm::pow(l / most, libm::log(bias) / libm::log(0.5)) * 8.0;
                 let display = libm::log(l + 1.0) / libm::log(base) / libm::log10(most + 1.0);
                 let code = 255.0 * crate::bracket::colour::linear_to_srgb(display);
-                // The percentiles of the scene are sampled at 1/50 stop.
+                // The percentiles of the scene are exact only to 1/50 stop, a step of the ramp.
                 assert!((f64::from(picture.at(x, 3)[1]) - code).abs() < 2.0, "{bias} {x}: {code}");
             }
         }

@@ -1,7 +1,7 @@
 //! Durand & Dorsey's operator: splits the picture into a base and a detail layer and compresses the base alone.
 //!
-//! In: a scene. Out: its tones. Cost: 20 ns a cell, of which there are at most [`CELLS`]. Source: Durand & Dorsey, "Fast Bilateral Filtering for
-//! the Display of High-Dynamic-Range Images" (2002), sections 4 and 6.
+//! In: a scene. Out: its tones. Cost: 20 ns a cell, of which there are at most [`CELLS`]. Source: Durand & Dorsey,
+//! "Fast Bilateral Filtering for the Display of High-Dynamic-Range Images" (2002), sections 4 and 6.
 
 use crate::plane::Plane;
 use crate::tonemap::guide::Guide;
@@ -17,7 +17,8 @@ pub struct Options {
     pub base_stops: f64,
     /// Spatial standard deviation of the filter, as a fraction of the longer side of the picture.
     pub reach: f64,
-    /// Standard deviation of the filter in luminance, in stops: larger differences are edges. The paper uses 0.4 in log10.
+    /// Standard deviation of the filter in luminance, in stops: larger differences are edges. The paper uses 0.4 in
+    /// log10.
     pub edge_stops: f64,
     /// Factor on the saturation of Mantiuk's fit: 1 looks as colourful as the scene, 0 is grey.
     pub saturation: f64,
@@ -52,7 +53,7 @@ pub const CELLS: usize = 1 << 19;
 /// Share of the base at either end that is ignored for its range, and share of the tones that may be clipped to white.
 const ENDS: f64 = 0.005;
 
-/// The tones of `scene`.
+/// Returns the tones of `scene`.
 pub fn durand(scene: &Scene, options: &Options) -> Tones {
     let scene = scene.coarser(CELLS);
     let logs = &scene.logs;
@@ -60,7 +61,7 @@ pub fn durand(scene: &Scene, options: &Options) -> Tones {
     let base = bilateral(logs, reach.max(1.0) as f32, options.edge_stops as f32);
     let ends = ends(base.as_slice());
     let range = f64::from(ends.1 - ends.0).max(1e-3);
-    // A base whose range is smaller is not expanded.
+    // A base with a smaller range than `base_stops` is not expanded.
     let factor = (options.base_stops / range).min(1.0) as f32;
     let cells = base.as_slice().iter().zip(logs.as_slice());
     let tones: Vec<f32> = cells.map(|(&b, &l)| factor * (b - ends.1) + (l - b)).collect();
@@ -73,7 +74,7 @@ pub fn durand(scene: &Scene, options: &Options) -> Tones {
     Tones::new(scene.to_srgb, guide, curve, scene.size.0)
 }
 
-/// The values below and above which a share [`ENDS`] lies.
+/// Returns the values below and above which a share [`ENDS`] lies.
 fn ends(values: &[f32]) -> (f32, f32) {
     let mut sorted = values.to_vec();
     sorted.sort_unstable_by(f32::total_cmp);
@@ -88,7 +89,8 @@ mod tests {
     use crate::bracket::colour::{Primaries, srgb_to_linear};
     use crate::tonemap::overview::Overview;
 
-    /// Section 4: the two halves differ by the range of the compressed base, and the detail has the contrast of the scene.
+    /// Section 4: the two halves differ by the range of the compressed base, and the detail has the contrast of the
+    /// scene.
     #[test]
     fn the_base_is_compressed_and_detail_is_not() {
         let wave = |x: usize, y: usize| if (x / 3 + y / 3).is_multiple_of(2) { 0.15 } else { -0.15 };
@@ -102,7 +104,8 @@ mod tests {
         let scene = overview.scene().unwrap();
         let picture = durand(&scene, &Options { base_stops: 3.0, ..Options::default() }).picture(&map);
         let log = |x: usize, y: usize| libm::log2(srgb_to_linear(f64::from(picture.at(x, y)[1]) / 255.0));
-        // Code values of 90 to 255 are exact to 0.02 stops; the blur of the grid is within 0.1.
+        // Code values of 90 to 255 are exact to 0.02 stops; the blur of the grid changes the base by less than 0.1
+        // stops.
         for x in [40, 100, 300, 360] {
             assert!((log(x, 100) - log(x + 3, 100)).abs() - 0.3 < 0.06, "{x}");
         }

@@ -1,7 +1,8 @@
-//! Gradient domain compression: attenuates steep gradients at every scale, keeps gentle ones, and integrates the result.
+//! Gradient domain compression: attenuates steep gradients at every scale, keeps gentle ones, and integrates the
+//! result.
 //!
-//! In: a scene. Out: its tones. Cost: 1 us of one core per cell, of at most `CELLS` cells: 0.2 s.
-//! Source: Fattal, Lischinski, Werman, "Gradient Domain High Dynamic Range Compression" (2002), section 3, equations 3 to 6
+//! In: a scene. Out: its tones. Cost: 1 us of one core per cell, of at most `CELLS` cells: 0.2 s. Source: Fattal,
+//! Lischinski, Werman, "Gradient Domain High Dynamic Range Compression" (2002), section 3, equations 3 to 6
 //! (integration), and section 4 (attenuation).
 
 use crate::plane::{Plane, fold_bands};
@@ -15,13 +16,13 @@ use crate::tonemap::tones::Tones;
 /// Settings of the operator.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Options {
-    /// The gradient that is kept, relative to the mean gradient of its scale; steeper gradients are attenuated. The paper uses 0.1, which attenuates
-    /// most of the picture.
+    /// The gradient that is kept, relative to the mean gradient of its scale; steeper gradients are attenuated. The
+    /// paper uses 0.1, which attenuates most of the picture.
     pub alpha: f64,
     /// Exponent of gradients relative to alpha, at every scale; 1 changes nothing. The paper uses 0.8 to 0.9.
     pub beta: f64,
-    /// Gradients below this share of the mean count as noise and are scaled like gradients of that size. The paper has no such limit, which amplifies
-    /// the noise of skies.
+    /// Gradients below this share of the mean count as noise and are scaled like gradients of that size. The paper has
+    /// no such limit, which amplifies the noise of skies.
     pub noise: f64,
     /// Stops from black to white on the display.
     pub range_stops: f64,
@@ -59,13 +60,13 @@ impl Options {
 /// The shorter side, in cells, of the coarsest scale (section 4).
 const COARSEST: usize = 32;
 
-/// The tones of `scene`.
+/// Returns the tones of `scene`.
 pub fn fattal(scene: &Scene, options: &Options) -> Tones {
     let range = LogRange { stops: options.range_stops, brightness: options.brightness, saturation: options.saturation };
     range.tones(scene, |logs| compressed(logs, options))
 }
 
-/// Attenuates the gradients of `logs`.
+/// Returns `logs` with attenuated gradients.
 fn compressed(logs: &Plane<f32>, options: &Options) -> Plane<f32> {
     let kept = attenuation(logs, options);
     let (width, height) = (logs.width(), logs.height());
@@ -85,7 +86,7 @@ fn compressed(logs: &Plane<f32>, options: &Options) -> Plane<f32> {
     integrated(&right, &down)
 }
 
-/// Phi of section 4: the factor on each gradient, the product of the factors of all scales.
+/// Returns Phi of section 4: the factor on each gradient, the product of the factors of all scales.
 fn attenuation(logs: &Plane<f32>, options: &Options) -> Plane<f32> {
     let mut levels = 1;
     while (logs.width().min(logs.height()) >> levels) >= COARSEST {
@@ -105,8 +106,8 @@ fn attenuation(logs: &Plane<f32>, options: &Options) -> Plane<f32> {
     product.unwrap_or_else(|| Plane::filled(logs.width(), logs.height(), 1.0))
 }
 
-/// The length of the gradient by central differences. The paper's division by the cell width of the scale cancels, because gradients are only compared
-/// with the mean of their scale.
+/// Returns the length of the gradient by central differences. The paper's division by the cell width of the scale
+/// cancels, because gradients are only compared with the mean of their scale.
 fn steepness(level: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (level.width(), level.height());
     Plane::from_rows(width, height, |y, row| {
@@ -120,7 +121,7 @@ fn steepness(level: &Plane<f32>) -> Plane<f32> {
     })
 }
 
-/// phi_k of section 4: (alpha / g) (g / alpha)^beta, with g at least the noise.
+/// Returns phi_k of section 4: (alpha / g) (g / alpha)^beta, with g at least the noise.
 fn scaling(steepness: &Plane<f32>, options: &Options) -> Plane<f32> {
     let (width, height) = (steepness.width(), steepness.height());
     let of_band = |rows| steepness.rows(rows).iter().map(|&g| f64::from(g)).sum::<f64>();
@@ -147,7 +148,7 @@ mod tests {
         fattal(&overview.scene().unwrap(), options).picture(map)
     }
 
-    /// Two halves six stops apart, with texture.
+    /// Returns two textured halves that are six stops apart.
     fn logs(width: usize, height: usize) -> Plane<f32> {
         Plane::from_rows(width, height, |y, row| {
             for (x, l) in row.iter_mut().enumerate() {
@@ -162,7 +163,8 @@ mod tests {
         Plane::from_vec(logs.width(), logs.height(), pixels.collect())
     }
 
-    /// With beta = 1 every gradient is kept, and the picture is recovered up to its mean, within the solver's 1e-4 of six stops.
+    /// With beta = 1 every gradient is kept, and the picture is recovered up to its mean, within the solver's 1e-4 of
+    /// six stops.
     #[test]
     fn fattal_without_attenuation_changes_nothing() {
         let logs = logs(150, 90);

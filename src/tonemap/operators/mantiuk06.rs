@@ -1,8 +1,10 @@
-//! Contrast processing: attenuates the perceived contrasts between neighbours at every scale, and reconstructs the picture that has them.
+//! Contrast processing: attenuates the perceived contrasts between neighbours at every scale, and reconstructs the
+//! picture that has them.
 //!
-//! In: a scene. Out: its tones. Cost: 2 us a cell and core, of which there are at most `CELLS`: 0.4 s.
-//! Source: Mantiuk, Myszkowski, Seidel, "A Perceptual Framework for Contrast Processing of High Dynamic Range Images" (2006): section 3
-//! (the pyramid of contrasts), 4 (the response to contrast), 5 (back to luminance), 6.1 (contrast mapping), 6.2 (contrast equalisation).
+//! In: a scene. Out: its tones. Cost: 2 us a cell and core, of which there are at most `CELLS`: 0.4 s. Source: Mantiuk,
+//! Myszkowski, Seidel, "A Perceptual Framework for Contrast Processing of High Dynamic Range Images" (2006): section 3
+//! (the pyramid of contrasts), 4 (the response to contrast), 5 (back to luminance), 6.1 (contrast mapping), 6.2
+//! (contrast equalisation).
 
 use crate::plane::Plane;
 use crate::tonemap::overview::Scene;
@@ -16,7 +18,8 @@ use crate::tonemap::tones::Tones;
 pub struct Options {
     /// Factor on the eye's response to each contrast: smaller values give a more even picture with stronger detail.
     pub contrast: f64,
-    /// Strength of the equalisation of responses: 0 none, 1 complete. At 0.5 the noise of skies stays weaker than the texture of the scene.
+    /// Strength of the equalisation of responses: 0 none, 1 complete. At 0.5 the noise of skies stays weaker than the
+    /// texture of the scene.
     pub equalise: f64,
     /// Stops from black to white on the display.
     pub range_stops: f64,
@@ -48,19 +51,19 @@ impl Options {
 /// The shorter side, in cells, of the coarsest scale.
 const COARSEST: usize = 3;
 
-/// Relative error at which the solver stops: a hundredth of a stop of ten.
+/// Relative error at which the solver stops: for a range of ten stops a hundredth of a stop.
 const TOLERANCE: f64 = 1e-3;
 
 /// Largest number of steps; 15 to 30 are needed.
 const MOST_STEPS: usize = 60;
 
-/// The tones of `scene`.
+/// Returns the tones of `scene`.
 pub fn mantiuk06(scene: &Scene, options: &Options) -> Tones {
     let range = LogRange { stops: options.range_stops, brightness: options.brightness, saturation: options.saturation };
     range.tones(scene, |logs| processed(logs, options))
 }
 
-/// Maps the contrasts of `logs`, in stops.
+/// Returns `logs`, in stops, with mapped contrasts.
 fn processed(logs: &Plane<f32>, options: &Options) -> Plane<f32> {
     let mut log10 = logs.clone();
     log10.as_mut_slice().iter_mut().for_each(|l| *l *= std::f32::consts::LOG10_2);
@@ -95,7 +98,7 @@ impl Contrasts {
         Contrasts { to: [right, down] }
     }
 
-    /// Replaces each contrast by `change` of it and of the one in `other`.
+    /// Replaces each contrast c by `change(c, o)`, where o is the contrast at the same place in `other`.
     fn changed(mut self, other: &Contrasts, change: impl Fn(f32, f32) -> f32 + Sync) -> Contrasts {
         for (plane, other) in self.to.iter_mut().zip(&other.to) {
             let width = plane.width();
@@ -113,7 +116,7 @@ impl Contrasts {
     }
 }
 
-/// Section 3: the contrasts of `level` and of all coarser scales.
+/// Returns the contrasts of `level` and of all coarser scales (section 3).
 fn contrasts(mut level: Plane<f32>) -> Vec<Contrasts> {
     let mut pyramid = vec![Contrasts::of(&level)];
     while level.width().min(level.height()) >= 2 * COARSEST {
@@ -123,7 +126,7 @@ fn contrasts(mut level: Plane<f32>) -> Vec<Contrasts> {
     pyramid
 }
 
-/// Means of 2 x 2 cells; at the right and lower border of those that exist.
+/// Returns the means of 2 x 2 cells; at the right and lower border, of the cells that exist.
 fn halved(plane: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (plane.width(), plane.height());
     Plane::from_rows(width.div_ceil(2), height.div_ceil(2), |y, row| {
@@ -149,7 +152,7 @@ fn add_spread(fine: &mut Plane<f32>, coarse: &Plane<f32>) {
     });
 }
 
-/// Section 6: equalises the responses to contrasts, then scales them.
+/// Equalises the responses to contrasts, then scales them (section 6).
 fn map(pyramid: &mut [Contrasts], options: &Options) {
     let scale = options.contrast as f32;
     if options.equalise == 0.0 {
@@ -181,8 +184,9 @@ fn map(pyramid: &mut [Contrasts], options: &Options) {
     }
 }
 
-/// The contrast threshold (log10), and the contrast above which the discrimination threshold follows the power law of section 4.
+/// The contrast threshold, log10.
 const SEEN: f32 = 0.0043;
+/// The contrast (log10) above which the discrimination threshold follows the power law of section 4.
 const BEND: f32 = 0.016_777_934;
 
 /// Section 4: the discrimination threshold of a contrast G is FACTOR G^POWER.
@@ -193,7 +197,8 @@ fn least_difference(contrast: f32) -> f32 {
     if contrast < BEND { SEEN } else { FACTOR * libm::powf(contrast, POWER) }
 }
 
-/// Section 4: the response to a contrast in just noticeable differences, the integral of the reciprocal of [`least_difference`].
+/// Returns the response to a contrast in just noticeable differences (section 4): the integral of the reciprocal of
+/// [`least_difference`].
 fn response(contrast: f32) -> f32 {
     if contrast < BEND {
         return contrast / SEEN;
@@ -202,7 +207,7 @@ fn response(contrast: f32) -> f32 {
     BEND / SEEN + rising(contrast) - rising(BEND)
 }
 
-/// The inverse of [`response`].
+/// Returns the contrast that has this [`response`].
 fn inverse(response: f32) -> f32 {
     if response < BEND / SEEN {
         return response * SEEN;
@@ -211,7 +216,8 @@ fn inverse(response: f32) -> f32 {
     libm::powf(at_bend + (response - BEND / SEEN) * FACTOR * (1.0 - POWER), 1.0 / (1.0 - POWER))
 }
 
-/// Section 5: the picture whose contrasts at all scales are nearest to those of `pyramid`, with differences weighted by their visibility.
+/// Returns the picture whose contrasts at all scales are nearest to those of `pyramid`, with differences weighted by
+/// their visibility (section 5).
 fn with_contrasts(pyramid: &[Contrasts]) -> Plane<f32> {
     let visibility = |level: &Contrasts| level.clone().changed(level, |_, c| SEEN / least_difference(c.abs()));
     let weights: Vec<Contrasts> = pyramid.iter().map(visibility).collect();
@@ -232,7 +238,7 @@ fn normal(plane: &Plane<f32>, weights: &[Contrasts]) -> Plane<f32> {
     gathered(&levels.map(|(level, w)| level.weighted(w)).collect::<Vec<_>>())
 }
 
-/// The transpose of [`contrasts`].
+/// Applies the transpose of [`contrasts`].
 fn gathered(pyramid: &[Contrasts]) -> Plane<f32> {
     let mut sum: Option<Plane<f32>> = None;
     for level in pyramid.iter().rev() {
@@ -251,7 +257,7 @@ mod tests {
     use crate::bracket::colour::Primaries;
     use crate::tonemap::overview::Overview;
 
-    /// Two halves six stops apart, with texture.
+    /// Returns two textured halves that are six stops apart.
     fn logs(width: usize, height: usize) -> Plane<f32> {
         Plane::from_rows(width, height, |y, row| {
             for (x, l) in row.iter_mut().enumerate() {
@@ -288,7 +294,8 @@ mod tests {
         }
     }
 
-    /// The oracle: the matrix of all contrasts from unit vectors, and its weighted normal equations in doubles.
+    /// The expected result: [`contrasts`] as a dense matrix, with a column for each unit vector, and its weighted
+    /// normal equations solved in `f64`.
     #[test]
     fn solution_minimises_the_weighted_squares() {
         for (w, h) in [(13, 9), (7, 12), (2, 3)] {
@@ -316,13 +323,13 @@ mod tests {
             let found = with_contrasts(&pyramid);
             let mean = found.as_slice().iter().map(|v| f64::from(*v)).sum::<f64>() / n as f64;
             for (a, b) in found.as_slice().iter().zip(expected.iter()) {
-                // A thousandth of the picture's range of some units, and a margin.
+                // The tolerance is [`TOLERANCE`], a thousandth, of the picture's range of some units, with a margin.
                 assert!((f64::from(*a) - mean - b).abs() < 0.01, "{w}x{h}: {a} {b}");
             }
         }
     }
 
-    /// Conjugate gradients require it: <C a, b> = <a, C' b>.
+    /// Conjugate gradients require that [`gathered`], C', is the transpose of [`contrasts`], C: <C a, b> = <a, C' b>.
     #[test]
     fn gathering_is_the_transpose_of_taking_contrasts() {
         let (a, b) = (logs(21, 14), logs(28, 21));

@@ -1,8 +1,10 @@
-//! Display adaptive tone mapping: the tone curve that best reproduces the visible contrasts of a scene on a given display.
+//! Display adaptive tone mapping: the tone curve that best reproduces the visible contrasts of a scene on a given
+//! display.
 //!
-//! In: a scene, and the properties of the display and the room. Out: its tones, one curve for all pixels. Cost: 60 ns a cell, of which there are at
-//! most `CELLS`, and some tens of small quadratic programs: 0.1 s. Source: Mantiuk, Daly, Kerofsky, "Display Adaptive Tone Mapping" (2008): section 3
-//! (the problem, solved as a sequence of quadratic programs), 4 (the eye), 5 (the display), 6 (statistics of contrasts by luminance).
+//! In: a scene, and the properties of the display and the room. Out: its tones, one curve for all pixels. Cost: 60 ns a
+//! cell, of which there are at most `CELLS`, and some tens of small quadratic programs: 0.1 s. Source: Mantiuk, Daly,
+//! Kerofsky, "Display Adaptive Tone Mapping" (2008): section 3 (the problem, solved as a sequence of quadratic
+//! programs), 4 (the eye), 5 (the display), 6 (statistics of contrasts by luminance).
 
 use crate::bracket::colour::srgb_to_linear;
 use crate::plane::Plane;
@@ -59,17 +61,18 @@ impl Options {
     }
 }
 
-/// Largest number of cells that contrasts are counted on. Cells stand for the pixels of the display.
+/// Largest number of cells in which contrasts are counted. Cells stand for the pixels of the display.
 const CELLS: usize = 1 << 18;
 
 /// Pixels of the display per degree: a monitor at arm's length.
 const PIXELS_PER_DEGREE: f64 = 30.0;
 
-/// Frequency bands of one octave each, from 15 cycles per degree down to below 3 (section 6).
+/// Number of frequency bands of one octave each, from 15 cycles per degree down to below 3 (section 6).
 const BANDS: usize = 4;
 
-/// Smallest distance of the nodes of the curve, in log10, and largest number of pieces.
+/// Smallest distance of the nodes of the curve, in log10.
 const STEP: f64 = 0.1;
+/// Largest number of pieces of the curve.
 const MOST_PIECES: usize = 40;
 
 /// Largest contrast that is counted, log10.
@@ -84,15 +87,17 @@ const DAYLIGHT: f64 = 1000.0;
 /// Weight of a gap between luminances that occur, as a share of all contrasts (section 6, disconnected parts).
 const BRIDGE: f64 = 0.1;
 
-/// Largest number of rounds, each with responses linearised again, and the change (log10) below which the curve has converged.
+/// Largest number of rounds; in each, responses are linearised again.
 const ROUNDS: usize = 60;
+/// The curve has converged if no piece changes by more than this in a round, log10.
 const SETTLED: f64 = 5e-4;
 
 /// The display in its room (section 5).
 #[derive(Debug, Clone, Copy)]
 struct Display {
-    /// Luminances of black and white in cd/m2, including reflected light.
+    /// Luminance of black in cd/m2, including reflected light.
     black: f64,
+    /// Luminance of white in cd/m2, including reflected light.
     white: f64,
 }
 
@@ -104,14 +109,14 @@ impl Display {
         Display { black, white: options.peak_cd_m2 + reflected }
     }
 
-    /// The linear sRGB value to send for a luminance. Real displays follow the gamma of 2.2 of the paper, which shows the darkest code values darker
-    /// than sRGB defines them, so lighter values are sent.
+    /// Returns the linear sRGB value to send for a luminance. Real displays follow the gamma of 2.2 of the paper, which
+    /// shows the darkest code values darker than sRGB defines them, so lighter values are sent.
     fn linear(&self, cd_m2: f64) -> f64 {
         let part = ((cd_m2 - self.black) / (self.white - self.black)).clamp(0.0, 1.0);
         srgb_to_linear(libm::pow(part, 1.0 / 2.2))
     }
 
-    /// Dynamic range, log10.
+    /// Returns the dynamic range, log10.
     fn range(&self) -> f64 {
         libm::log10(self.white / self.black)
     }
@@ -123,11 +128,11 @@ struct Contrasts {
     from: usize,
     to: usize,
     band: usize,
-    /// Their share of all visible contrasts.
+    /// Share of these contrasts among all visible contrasts.
     share: f64,
 }
 
-/// The nodes of the curve: log10 luminance.
+/// The nodes of the curve, at equal distances of log10 luminance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Nodes {
     first: f64,
@@ -143,13 +148,13 @@ impl Nodes {
         Nodes { first: low, step: ((high - low) / pieces as f64).max(STEP), pieces }
     }
 
-    /// The node nearest to a log10 luminance.
+    /// Returns the index of the node nearest to a log10 luminance.
     fn nearest(&self, log: f64) -> usize {
         libm::round((log - self.first) / self.step).clamp(0.0, self.pieces as f64) as usize
     }
 }
 
-/// The tones of `scene`.
+/// Returns the tones of `scene`.
 pub fn mantiuk08(scene: &Scene, options: &Options) -> Tones {
     let nodes = Nodes::of(scene);
     let grid = scene.coarser(CELLS);
@@ -180,7 +185,7 @@ pub fn mantiuk08(scene: &Scene, options: &Options) -> Tones {
     Tones::new(scene.to_srgb, Guide::shifted(shift), curve, scene.size.0)
 }
 
-/// log10 display luminance at every node, relative to white. Unused range is left at the dark end.
+/// Returns log10 display luminance at every node, relative to white. Unused range is left at the dark end.
 fn ends(pieces: &[f64]) -> Vec<f64> {
     let mut ends = vec![0.0f64; pieces.len() + 1];
     for i in (0..pieces.len()).rev() {
@@ -222,7 +227,7 @@ fn counted(logs: &Plane<f32>, nodes: &Nodes) -> Vec<Contrasts> {
     contrasts
 }
 
-/// Adds contrasts that connect parts of the curve without contrasts between them.
+/// Adds contrasts that connect parts of the curve that have no contrasts between them.
 fn bridged(contrasts: &[Contrasts], nodes: &Nodes) -> Vec<Contrasts> {
     let mut is_used = vec![false; nodes.pieces];
     for c in contrasts {
@@ -239,8 +244,9 @@ fn bridged(contrasts: &[Contrasts], nodes: &Nodes) -> Vec<Contrasts> {
     all
 }
 
-/// Section 3: the log10 range of the display that each piece gets, such that the responses to the contrasts shown are nearest to those to the contrasts
-/// of the scene. Responses are linearised around the last solution until it converges.
+/// Returns the log10 range of the display that each piece gets (section 3): the ranges for which the eye's responses to
+/// contrasts on the display are nearest to its responses to the contrasts of the scene. Responses are linearised around
+/// the last solution until it converges.
 fn curve(contrasts: &[Contrasts], nodes: &Nodes, display: &Display, enhanced: f64) -> Vec<f64> {
     let n = nodes.pieces;
     let frequency = |band: usize| 0.5 * PIXELS_PER_DEGREE / f64::from(1u32 << band);
@@ -288,7 +294,7 @@ mod tests {
     use crate::bracket::colour::Primaries;
     use crate::tonemap::overview::Overview;
 
-    /// A scene with a range of `stops`: two textured areas and the ramp between them.
+    /// Returns a scene with a range of `stops`: two textured areas and the ramp between them.
     fn radiance(stops: f32, factor: f32) -> Plane<[f32; 3]> {
         Plane::from_rows(300, 160, |y, row| {
             for (x, p) in row.iter_mut().enumerate() {
@@ -309,7 +315,7 @@ mod tests {
         mantiuk08(&scene(map), options).picture(map)
     }
 
-    /// The sum of squares that section 3 minimises.
+    /// Returns the sum of squares that section 3 minimises.
     fn distortion(pieces: &[f64], contrasts: &[Contrasts], nodes: &Nodes, display: &Display) -> f64 {
         let frequency = |band: usize| 0.5 * PIXELS_PER_DEGREE / f64::from(1u32 << band);
         let square = |c: &Contrasts| {
@@ -322,8 +328,8 @@ mod tests {
         contrasts.iter().map(square).sum()
     }
 
-    /// Moving range from one piece to another does not reduce the distortion. The paper's iteration, which fixes the ratio of response and contrast, ends
-    /// within 5 percent of the minimum.
+    /// Moving range from one piece to another does not reduce the distortion. The paper's iteration, which fixes the
+    /// ratio of response and contrast, ends within 5 percent of the minimum.
     #[test]
     fn no_curve_near_by_distorts_less() {
         let scene = scene(&radiance(12.0, 1.0));
@@ -362,7 +368,8 @@ mod tests {
         assert!(codes.at(0, 0)[1] < 100 && codes.at(399, 0)[1] == 255);
     }
 
-    /// In a bright room the screen reflects light, and the dark parts are lifted above it; on a better display they stay darker.
+    /// In a bright room the screen reflects light, and the dark parts are lifted above the reflected light; on a better
+    /// display they stay darker.
     #[test]
     fn a_bright_room_lifts_the_dark() {
         let map = radiance(10.0, 1.0);
@@ -390,7 +397,8 @@ mod tests {
         assert!(spread(0.6) + 10 < spread(1.0) && spread(1.0) + 10 < spread(1.6), "{} {}", spread(0.6), spread(1.0));
     }
 
-    /// Two distant luminances with texture and nothing in between: the gap is neither closed nor takes the whole range.
+    /// Two distant luminances with texture and nothing in between: the gap is not closed, and does not take the whole
+    /// range.
     #[test]
     fn parts_without_contrast_between_them_hold_together() {
         let nodes = Nodes { first: 0.0, step: 0.1, pieces: 30 };

@@ -1,4 +1,5 @@
-//! The published operators, one file for each first author.
+//! The published operators, one file for each, named after its first author; `reinhard` has both versions of
+//! `reinhard02`.
 //!
 //! In: a scene. Out: tones. The operators do not depend on each other.
 

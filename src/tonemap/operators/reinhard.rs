@@ -1,8 +1,9 @@
 //! Reinhard's photographic operator: a global tone curve, or a local one by dodging and burning.
 //!
-//! In: a scene. Out: its tones. Cost: none per cell for the global curve; 0.4 us a cell for the local one.
-//! Source: Reinhard, Stark, Shirley, Ferwerda, "Photographic Tone Reproduction for Digital Images" (2002), section 3.1, equations 1 to 4,
-//! and 3.2, equations 5 to 9; Reinhard, "Parameter Estimation for Photographic Tone Reproduction" (2003), equations 4 and 5.
+//! In: a scene. Out: its tones. Cost: none per cell for the global curve; 0.4 us a cell for the local one. Source:
+//! Reinhard, Stark, Shirley, Ferwerda, "Photographic Tone Reproduction for Digital Images" (2002), section 3.1,
+//! equations 1 to 4, and 3.2, equations 5 to 9; Reinhard, "Parameter Estimation for Photographic Tone Reproduction"
+//! (2003), equations 4 and 5.
 
 use crate::plane::Plane;
 use crate::pyramid::gaussian;
@@ -14,9 +15,11 @@ use crate::tonemap::tones::{Curve, Tones};
 /// Settings of the operator; by default they are estimated from the picture.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Options {
-    /// The key a: display luminance (0..1, before the shoulder) of the log-average luminance; about 0.18. `None`: estimated.
+    /// The key a: display luminance (0..1, before the shoulder) of the log-average luminance; about 0.18. `None`:
+    /// estimated.
     pub key: Option<f64>,
-    /// L_white: smallest luminance that maps to white, in units of the scaled luminance of equation 2. `None`: estimated.
+    /// L_white: smallest luminance that maps to white, in units of the scaled luminance of equation 2. `None`:
+    /// estimated.
     pub white: Option<f64>,
     /// Factor on the saturation of Mantiuk's fit: 1 looks as colourful as the scene, 0 is grey.
     pub saturation: f64,
@@ -42,7 +45,8 @@ impl Options {
 /// The tone curve with its parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Shoulder {
-    /// log2 of the key over the log-average, which takes log2 radiance to log2 of the scaled luminance L of equation 2.
+    /// log2 of the key divided by the log-average; added to log2 radiance, it gives log2 of the scaled luminance L of
+    /// equation 2.
     shift: f64,
     /// 1 / L_white^2.
     inverse_white2: f64,
@@ -58,12 +62,12 @@ impl Shoulder {
         Shoulder { shift: libm::log2(key) - average, inverse_white2: 1.0 / (white * white) }
     }
 
-    /// Equation 4: L_d = L (1 + L / L_white^2) / (1 + L).
+    /// Returns equation 4: L_d = L (1 + L / L_white^2) / (1 + L).
     fn display(&self, l: f64) -> f64 {
         l * (1.0 + l * self.inverse_white2) / (1.0 + l)
     }
 
-    /// The slope of the curve in log-log.
+    /// Returns the slope of the curve on logarithmic axes.
     fn slope(&self, l: f64) -> f64 {
         let w = l * self.inverse_white2;
         1.0 + w / (1.0 + w) - l / (1.0 + l)
@@ -73,21 +77,23 @@ impl Shoulder {
 /// Range of estimated keys: without it a few lamps would make a plain room too dark, and fog would become too bright.
 const KEYS: (f64, f64) = (0.15, 0.45);
 
-/// Reinhard 2003, equation 4: a = 0.18 * 4^((2 log L_av - log L_min - log L_max) / (log L_max - log L_min)).
+/// Returns a by equation 4 of Reinhard 2003: a = 0.18 * 4^((2 log L_av - log L_min - log L_max) / (log L_max - log
+/// L_min)).
 fn key(average: f64, (dark, bright): (f64, f64)) -> f64 {
     let skew = (2.0 * average - dark - bright) / (bright - dark).max(1.0);
     0.18 * libm::exp2(2.0 * skew)
 }
 
-/// Reinhard 2003, equation 5: L_white = 1.5 * 2^(log L_max - log L_min - 5). It is limited to between one and two times the bright end of the scene,
-/// so that the bright end is not clipped and something is white; and is at least 1.
+/// Returns L_white by equation 5 of Reinhard 2003: L_white = 1.5 * 2^(log L_max - log L_min - 5). It is limited to
+/// between one and two times the bright end of the scene, so that the bright end is not clipped and something is white;
+/// and is at least 1.
 fn white(average: f64, (dark, bright): (f64, f64), key: f64) -> f64 {
     let estimate = 1.5 * libm::exp2(bright - dark - 5.0);
     let brightest = key * libm::exp2(bright - average);
     estimate.min(2.0 * brightest).max(brightest).max(1.0)
 }
 
-/// The tones of `scene` by one global curve.
+/// Returns the tones of `scene` by one global curve.
 pub fn global(scene: &Scene, options: &Options) -> Tones {
     let shoulder = Shoulder::of(scene, options);
     let curve = Curve::new(|v| shoulder.display(libm::exp2(v)), |v| shoulder.slope(libm::exp2(v)), options.saturation);
@@ -100,15 +106,19 @@ const CELLS: usize = 1 << 19;
 /// Luminances are clamped to this many stops from the key, so that squares do not overflow.
 const FARTHEST: f32 = 60.0;
 
-/// Section 3.2: the number of scales and their ratio, the first being 1 cell; the size of the centre relative to the scale; the sharpening phi; and the
-/// largest difference of centre and surround.
+/// Number of scales (section 3.2); the first is 1 cell.
 const SCALES: usize = 8;
+/// Ratio of each scale to the one before (section 3.2).
 const RATIO: f64 = 1.6;
+/// Size of the centre relative to the scale: 1 / (2 sqrt 2) (section 3.2).
 const CENTRE: f64 = 0.353_553_390_593_273_8;
+/// The sharpening phi (section 3.2).
 const PHI: f64 = 8.0;
+/// Largest relative difference of centre and surround that count as similar (section 3.2).
 const THRESHOLD: f32 = 0.05;
 
-/// The tones of `scene` by dodging and burning: the curve of each place depends on the luminance around it, up to the nearest edge.
+/// Returns the tones of `scene` by dodging and burning: the curve of each place depends on the luminance around it, up
+/// to the nearest edge.
 pub fn local(scene: &Scene, options: &Options) -> Tones {
     let scene = scene.coarser(CELLS);
     let key = options.key.unwrap_or(0.18);
@@ -134,7 +144,8 @@ pub fn local(scene: &Scene, options: &Options) -> Tones {
     Tones::new(scene.to_srgb, guide, curve, scene.size.0)
 }
 
-/// V_1 of equation 9: the mean of `l` over the largest surroundings of each place in which centre and surround are similar.
+/// Returns V_1 of equation 9: the mean of `l` over the largest surroundings of each place in which centre and surround
+/// are similar.
 fn surroundings(l: &Plane<f32>, key: f64) -> Plane<f32> {
     let blurred = |scale: f64| gaussian(l, CENTRE * scale / std::f64::consts::SQRT_2);
     let (width, height) = (l.width(), l.height());
@@ -168,7 +179,7 @@ mod tests {
     use crate::bracket::colour::Primaries;
     use crate::tonemap::overview::Overview;
 
-    /// Ten stops from left to right.
+    /// Returns ten stops from left to right, where `change` gives no other value.
     fn ramp(factor: f32, change: impl Fn(usize, usize) -> Option<f32> + Sync) -> Plane<[f32; 3]> {
         Plane::from_rows(500, 70, |y, row| {
             for (x, p) in row.iter_mut().enumerate() {
@@ -198,7 +209,8 @@ mod tests {
         }
     }
 
-    /// Half a percent of suns and of black pixels must not change the rest by more than a few code values.
+    /// A quarter of a percent of suns and half a percent of black pixels must not change the rest by more than a few
+    /// code values.
     #[test]
     fn a_few_suns_and_black_pixels_do_not_decide() {
         let plain = picture(&ramp(1.0, |_, _| None), global);

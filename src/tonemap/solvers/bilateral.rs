@@ -1,8 +1,8 @@
 //! The bilateral filter on a grid over position and luminance, which smooths but keeps edges.
 //!
-//! In: log2 luminance of cells. Out: the filtered values. Cost: 20 ns a cell.
-//! Source: Tomasi & Manduchi, "Bilateral Filtering for Gray and Color Images" (1998); Paris & Durand, "A Fast Approximation of the Bilateral
-//! Filter using a Signal Processing Approach" (2006), section 5; Chen, Paris, Durand, "Real-time Edge-Aware Image Processing with the
+//! In: log2 luminance of cells. Out: the filtered values. Cost: 20 ns a cell. Source: Tomasi & Manduchi, "Bilateral
+//! Filtering for Gray and Color Images" (1998); Paris & Durand, "A Fast Approximation of the Bilateral Filter using a
+//! Signal Processing Approach" (2006), section 5; Chen, Paris, Durand, "Real-time Edge-Aware Image Processing with the
 //! Bilateral Grid" (2007), section 3.
 
 use crate::plane::Plane;
@@ -10,7 +10,7 @@ use crate::plane::Plane;
 /// Weights of a Gaussian with a standard deviation of one node, cut off after two nodes.
 const KERNEL: [f32; 5] = [0.054_488_7, 0.244_201_3, 0.402_62, 0.244_201_3, 0.054_488_7];
 
-/// Nodes added at each end, so that nothing is blurred off the grid.
+/// Number of nodes added at each end, so that nothing is blurred off the grid.
 const MARGIN: usize = 2;
 
 /// Sums of luminance and numbers of cells, by position and luminance; luminance is the innermost index.
@@ -91,8 +91,8 @@ mod tests {
         })
     }
 
-    /// Compared with the double sum of Tomasi & Manduchi. The grid samples both Gaussians once per standard deviation, for which Paris & Durand report
-    /// 40 dB and more; 1 % of 6 stops is 0.06.
+    /// Compared with the double sum of Tomasi & Manduchi. The grid samples both Gaussians once per standard deviation,
+    /// for which Paris & Durand report 40 dB and more; 1 % of 6 stops is 0.06.
     #[test]
     fn result_equals_the_double_sum_up_to_sampling() {
         let (logs, reach, edge) = (scene(), 5.0f32, 1.3f32);

@@ -1,11 +1,12 @@
 //! Models of human vision: the contrast sensitivity function and the response to contrast above the threshold.
 //!
-//! In: frequencies, luminances, contrasts. Out: sensitivities and responses. Cost: a few powers.
-//! Source: Daly, "The Visible Differences Predictor" (1993), section 3.2 (sensitivity); Wilson, "A Transducer Function for Threshold and
-//! Suprathreshold Human Vision" (1980); both as given by Mantiuk, Daly, Kerofsky, "Display Adaptive Tone Mapping" (2008), section 4 and appendix.
+//! In: frequencies, luminances, contrasts. Out: sensitivities and responses. Cost: a few powers. Source: Daly, "The
+//! Visible Differences Predictor" (1993), section 3.2 (sensitivity); Wilson, "A Transducer Function for Threshold and
+//! Suprathreshold Human Vision" (1980); both as given by Mantiuk, Daly, Kerofsky, "Display Adaptive Tone Mapping"
+//! (2008), section 4 and appendix.
 
-/// The contrast sensitivity (1 / threshold) at `frequency` cycles per degree for an eye adapted to `cd_m2`, for a picture of one square degree at a
-/// distance of half a metre.
+/// Returns the contrast sensitivity (1 / threshold) at `frequency` cycles per degree for an eye adapted to `cd_m2`, for
+/// a picture of one square degree at a distance of half a metre.
 pub(crate) fn sensitivity(frequency: f64, cd_m2: f64) -> f64 {
     const PEAK: f64 = 250.0;
     // Accommodation at half a metre; horizontal or vertical orientation, no eccentricity.
@@ -13,7 +14,7 @@ pub(crate) fn sensitivity(frequency: f64, cd_m2: f64) -> f64 {
     PEAK * daly(frequency, cd_m2).min(daly(frequency / nearer, cd_m2))
 }
 
-/// S_1 of Daly's equation 3.4, with epsilon = 0.9.
+/// Returns S_1 of Daly's equation 3.4, with epsilon = 0.9.
 fn daly(frequency: f64, cd_m2: f64) -> f64 {
     let a = 0.801 * libm::pow(1.0 + 0.7 / cd_m2, -0.2);
     let b = 0.9 * frequency * 0.3 * libm::pow(1.0 + 100.0 / cd_m2, 0.15);
@@ -21,7 +22,7 @@ fn daly(frequency: f64, cd_m2: f64) -> f64 {
     libm::pow(size + 1.0, -0.2) * a * 0.9 * frequency * libm::exp(-b) * (1.0 + 0.06 * libm::exp(b)).sqrt()
 }
 
-/// The response, in just noticeable differences, to a `contrast` in log10 by an eye of this sensitivity.
+/// Returns the response, in just noticeable differences, to a `contrast` in log10 by an eye of this sensitivity.
 pub(crate) fn response(contrast: f64, sensitivity: f64) -> f64 {
     let scaled = sensitivity * (libm::exp10(contrast) - 1.0);
     let rising = libm::cbrt(1.0 + scaled * scaled * scaled) - 1.0;
@@ -32,8 +33,8 @@ pub(crate) fn response(contrast: f64, sensitivity: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// In daylight sensitivity peaks at 2 to 6 cycles per degree with a threshold of about half a percent; in the dark it is lower, most of all at high
-    /// frequencies.
+    /// In daylight sensitivity peaks at 2 to 6 cycles per degree with a threshold of about half a percent. In the dark
+    /// sensitivity is lower, most of all at high frequencies.
     #[test]
     fn sensitivity_is_that_of_an_eye() {
         let best = (1..300)

@@ -1,8 +1,9 @@
-//! Fills the range of a display: scales tones in stops, whose ends an operator leaves open, from black to white.
+//! Fills the range of a display: scales the tones of an operator, which may have any range in stops, from black to
+//! white.
 //!
-//! In: a scene and the tones of its cells. Out: its tones on the display. Cost: 60 ns a cell.
-//! Source: Mantiuk, Myszkowski, Seidel, "A Perceptual Framework for Contrast Processing of High Dynamic Range Images" (2006), section 6.1:
-//! log luminance is scaled such that percentiles map to black and white.
+//! In: a scene and the tones of its cells. Out: its tones on the display. Cost: 60 ns a cell. Source: Mantiuk,
+//! Myszkowski, Seidel, "A Perceptual Framework for Contrast Processing of High Dynamic Range Images" (2006), section
+//! 6.1: log luminance is scaled such that percentiles map to black and white.
 
 use crate::plane::Plane;
 use crate::tonemap::guide::Guide;
@@ -10,7 +11,7 @@ use crate::tonemap::overview::Scene;
 use crate::tonemap::solvers::brightness;
 use crate::tonemap::tones::{Curve, Tones};
 
-/// Largest number of cells.
+/// Largest number of cells of the grid of tones.
 pub(crate) const CELLS: usize = 1 << 18;
 
 /// Shares of the tones that are clipped to black and to white.
@@ -34,7 +35,7 @@ pub(crate) struct LogRange {
 const POWERS: (f64, f64) = (0.8, 1.6);
 
 impl LogRange {
-    /// The tones of `scene`; `change` maps its [lit](Scene::lit) cells to the tones to scale.
+    /// Returns the tones of `scene`; `change` maps its [lit](Scene::lit) cells to tones, which are then scaled.
     pub fn tones(&self, scene: &Scene, change: impl FnOnce(&Plane<f32>) -> Plane<f32>) -> Tones {
         let mut grid = scene.coarser(CELLS);
         grid.logs = grid.lit();
@@ -42,7 +43,7 @@ impl LogRange {
         self.filled(scene, &grid, tones)
     }
 
-    /// The tones of `scene`, where `tones` are those of the cells of `grid`, before scaling.
+    /// Returns the tones of `scene`; `tones` are those of the cells of `grid`, before scaling.
     fn filled(&self, scene: &Scene, grid: &Scene, mut tones: Plane<f32>) -> Tones {
         let mut sorted = tones.as_slice().to_vec();
         sorted.sort_unstable_by(f32::total_cmp);
@@ -73,7 +74,7 @@ mod tests {
     use crate::bracket::colour::Primaries;
     use crate::tonemap::overview::Overview;
 
-    /// The code values of a ramp that spans `stops` stops.
+    /// Returns the code values of a ramp that spans `stops` stops.
     fn filled(stops: f64, range: &LogRange) -> Vec<f64> {
         let map = Plane::from_rows(500, 8, |_, row| {
             row.iter_mut().enumerate().for_each(|(x, p)| *p = [libm::exp2(stops * x as f64 / 499.0) as f32; 3])
@@ -87,7 +88,8 @@ mod tests {
 
     const PLAIN: LogRange = LogRange { stops: 6.0, brightness: 0.45, saturation: 1.0 };
 
-    /// The ends of the ramp are black and white, its mean code value is the target, and a narrow range is not stretched to fill the display.
+    /// The ends of the ramp are black and white, its mean code value is the target, and a narrow range is not stretched
+    /// to fill the display.
     #[test]
     fn range_is_filled_and_fog_keeps_low_contrast() {
         for stops in [6.0, 12.0] {

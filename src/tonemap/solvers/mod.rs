@@ -1,4 +1,5 @@
-//! Solvers shared by the operators: Poisson equation, quadratic program, bilateral grid, models of human vision.
+//! Solvers of the operators, some of them shared: Poisson equation, quadratic program, bilateral grid, models of human
+//! vision, range and brightness of the display.
 //!
 //! In and out: see each module. None has settings of its own.
 

@@ -1,21 +1,23 @@
-//! Integrates gradients: finds the picture whose differences from cell to cell are nearest to given ones (Poisson equation).
+//! Integrates gradients: finds the picture whose differences from cell to cell are nearest to given ones (Poisson
+//! equation).
 //!
-//! In: differences along rows and columns, which need not be those of any picture. Out: the picture, with mean 0, with Neumann boundary
-//! conditions. Cost: about 10 steps of 0.05 us a cell and core, on any size of grid.
-//! Source: Fattal, Lischinski, Werman, "Gradient Domain High Dynamic Range Compression" (2002), section 3, equations 3 to 6, for the problem;
-//! Briggs, Henson, McCormick, "A Multigrid Tutorial" (2000), chapters 2 and 3, for the cycle; Tatebe, "The Multigrid Preconditioned Conjugate
-//! Gradient Method" (1993), for the steps.
+//! In: differences along rows and columns, which need not be those of any picture. Out: the picture, with mean 0, with
+//! Neumann boundary conditions. Cost: about 10 steps of 0.05 us a cell and core, on any size of grid. Source: Fattal,
+//! Lischinski, Werman, "Gradient Domain High Dynamic Range Compression" (2002), section 3, equations 3 to 6, for the
+//! problem; Briggs, Henson, McCormick, "A Multigrid Tutorial" (2000), chapters 2 and 3, for the cycle; Tatebe, "The
+//! Multigrid Preconditioned Conjugate Gradient Method" (1993), for the steps.
 
 use crate::plane::{Plane, fold_bands};
 
-/// Relative error, in the norm of the operator, at which the solver stops: a thousandth of a stop of ten.
+/// Relative error, in the norm of the operator, at which the solver stops: for a range of ten stops a thousandth of a
+/// stop.
 const TOLERANCE: f64 = 1e-4;
 
 /// Largest number of steps; about ten are needed.
 const MOST_STEPS: usize = 40;
 
-/// The picture whose differences to the right neighbours are nearest to `right`, and to the lower neighbours nearest to `down`, by least squares. The
-/// last column of `right` and the last row of `down` are ignored.
+/// Returns the picture whose differences to the right neighbours are nearest to `right`, and to the lower neighbours
+/// nearest to `down`, by least squares. The last column of `right` and the last row of `down` are ignored.
 pub fn integrated(right: &Plane<f32>, down: &Plane<f32>) -> Plane<f32> {
     let divergence = divergence(right, down);
     let grid = Multigrid::new((right.width(), right.height()));
@@ -31,8 +33,8 @@ pub fn integrated(right: &Plane<f32>, down: &Plane<f32>) -> Plane<f32> {
     Plane::from_vec(picture.width(), picture.height(), centred)
 }
 
-/// The transpose of taking differences (negative divergence): for each cell the differences from its left and upper neighbours less those to its right and
-/// lower neighbours.
+/// Applies the transpose of taking differences (negative divergence). Returns for each cell the differences from its
+/// left and upper neighbours less those to its right and lower neighbours.
 pub fn divergence(right: &Plane<f32>, down: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (right.width(), right.height());
     Plane::from_rows(width, height, |y, row| {
@@ -50,8 +52,9 @@ pub fn divergence(right: &Plane<f32>, down: &Plane<f32>) -> Plane<f32> {
 
 /// Solves `apply`(x) = `right` by preconditioned conjugate gradients.
 ///
-/// `apply` must be symmetric and positive semidefinite, `precondition` a symmetric approximation of its inverse. Stops when the residual, in the norm of
-/// `precondition`, is below `tolerance` times that at the start, or after `most` steps.
+/// `apply` must be symmetric and positive semidefinite, `precondition` a symmetric approximation of its inverse. Stops
+/// when the residual, in the norm of `precondition`, is below `tolerance` times the residual at the start, or after
+/// `most` steps.
 pub fn conjugate_gradients(
     right: &Plane<f32>,
     apply: impl Fn(&Plane<f32>) -> Plane<f32>,
@@ -110,9 +113,11 @@ fn sum(plane: &Plane<f32>) -> f64 {
 struct Axis {
     /// Width of each cell of this grid, in units of a cell of the finest grid.
     widths: Vec<f32>,
-    /// Before each cell and after the last: the reciprocal of the distance between the adjacent centres; 0 at the ends.
+    /// For the border before each cell and after the last cell: the reciprocal of the distance between the adjacent
+    /// centres; 0 at both ends.
     links: Vec<f32>,
-    /// For each cell, its second neighbour on the next coarser grid and its weight; the first neighbour is the cell of half the index.
+    /// A cell is interpolated between two cells of the next coarser grid, the first of which has half its index. For
+    /// each cell, the index and the weight of the second.
     others: Vec<(usize, f32)>,
 }
 
@@ -135,12 +140,13 @@ impl Axis {
         Axis { widths, links, others }
     }
 
-    /// The widths of the next coarser grid.
+    /// Returns the widths of the cells of the next coarser grid.
     fn halved(widths: &[f32]) -> Vec<f32> {
         widths.chunks(2).map(|pair| pair.iter().sum()).collect()
     }
 
-    /// The fine cells that contribute to the coarse cell `at`, with their weights: the transpose of interpolation.
+    /// Returns the fine cells that contribute to the coarse cell `at`, with their weights: the transpose of
+    /// interpolation.
     fn children(&self, at: usize) -> impl Iterator<Item = (usize, f32)> {
         let first = (2 * at).saturating_sub(1);
         (first..(2 * at + 3).min(self.widths.len())).filter_map(move |i| {
@@ -154,7 +160,7 @@ impl Axis {
     }
 }
 
-/// The positions of the centres of cells.
+/// Returns the positions of the centres of cells.
 fn centres(widths: &[f32]) -> Vec<f32> {
     let mut end = 0.0;
     let centre = |&w: &f32| {
@@ -194,7 +200,7 @@ impl Multigrid {
         Multigrid { levels }
     }
 
-    /// The negative Laplacian: for each cell the sum of its differences from its (up to four) neighbours.
+    /// Returns the negative Laplacian: for each cell the sum of its differences from its (up to four) neighbours.
     pub fn laplacian(&self, plane: &Plane<f32>) -> Plane<f32> {
         self.levels[0].combined(plane, |laplacian, _, _| laplacian)
     }
@@ -205,7 +211,8 @@ impl Multigrid {
     }
 }
 
-/// One V-cycle over `levels`, starting from 0, with two smoothing steps before and two after the coarser grids.
+/// Computes one V-cycle over `levels`, starting from 0, with two smoothing steps before and two after the coarser
+/// grids.
 fn cycle(levels: &[Level], right: &Plane<f32>) -> Plane<f32> {
     let ([level, coarser @ ..], true) = (levels, levels.len() > 1) else {
         // A single cell has no differences.
@@ -251,7 +258,7 @@ impl Level {
             + rows.widths[y] * (columns.links[x] + columns.links[x + 1])
     }
 
-    /// A damped Jacobi step from 0.
+    /// Returns the result of a damped Jacobi step from 0.
     fn first_step(&self, right: &Plane<f32>) -> Plane<f32> {
         Plane::from_rows(right.width(), right.height(), |y, row| {
             for (x, (v, r)) in row.iter_mut().zip(right.row(y)).enumerate() {
@@ -260,7 +267,7 @@ impl Level {
         })
     }
 
-    /// A damped Jacobi step from `x`.
+    /// Returns the result of a damped Jacobi step from `x`.
     fn step(&self, x: &Plane<f32>, right: &Plane<f32>) -> Plane<f32> {
         let (x_of, right) = (x.as_slice(), right.as_slice());
         self.combined(x, |laplacian, diagonal, i| x_of[i] + DAMPING * (right[i] - laplacian) / diagonal)
@@ -308,7 +315,7 @@ impl Level {
 mod tests {
     use super::*;
 
-    /// Numbers without a pattern, the same each time.
+    /// Returns numbers without a pattern that depend only on `seed`.
     fn noise(width: usize, height: usize, seed: u32) -> Plane<f32> {
         let mut state = seed;
         let values = (0..width * height).map(|_| {
@@ -318,7 +325,8 @@ mod tests {
         Plane::from_vec(width, height, values.collect())
     }
 
-    /// The normal equations of all differences, dense, in doubles; the mean is held at 0 by a rank-one term.
+    /// Returns the expected picture: the solution of the normal equations of all differences, dense, in `f64`. A term
+    /// of rank one holds the mean at 0.
     fn dense(right: &Plane<f32>, down: &Plane<f32>) -> Vec<f64> {
         let (w, h) = (right.width(), right.height());
         let mut matrix = nalgebra::DMatrix::<f64>::from_element(w * h, w * h, 1.0);
@@ -341,7 +349,8 @@ mod tests {
         matrix.cholesky().unwrap().solve(&vector).iter().copied().collect()
     }
 
-    /// Gradients that are those of no picture, on odd, even and thin grids. The tolerance is 1e-4 of values of a few units.
+    /// Gradients that are those of no picture, on odd, even and thin grids. The tolerance is 1e-4 of values of a few
+    /// units.
     #[test]
     fn solution_minimises_the_squares() {
         for (w, h) in [(1, 1), (2, 3), (1, 17), (16, 16), (21, 13), (3, 30), (25, 24)] {
@@ -384,9 +393,10 @@ mod tests {
             let grid = Multigrid::new(size);
             let (a, b) = (noise(size.0, size.1, 3), noise(size.0, size.1, 4));
             let (ab, ba) = (dot(&a, &grid.cycle(&b)), dot(&b, &grid.cycle(&a)));
-            // Values up to some tens, of 4000 products, in single precision.
+            // The tolerance covers single precision: sums of up to 4000 products of values up to some tens.
             assert!((ab - ba).abs() < 1e-3 * dot(&a, &grid.cycle(&a)), "{ab} {ba}");
-            // One cycle leaves at most a fifth of the error, in the norm of the operator.
+            // One cycle leaves at most a fifth of the error in the norm of the operator, whose square is compared:
+            // 0.2^2 = 0.04.
             let right = grid.laplacian(&a);
             let mut error = grid.cycle(&right);
             error.as_mut_slice().iter_mut().zip(a.as_slice()).for_each(|(e, a)| *e = a - *e);

@@ -3,7 +3,8 @@
 //! In: a positive definite matrix, a vector, a bound. Out: the minimum. Cost: about n steps of n^3 / 6.
 //! Source: Nocedal & Wright, "Numerical Optimization" (2006), section 16.5, algorithm 16.3 (active sets).
 
-/// The x >= 0 with sum x <= `most` that minimises x' H x / 2 - f' x; `h` is symmetric and positive definite, by rows.
+/// Returns the x >= 0 with sum x <= `most` that minimises x' H x / 2 - f' x; `h` is symmetric and positive definite, by
+/// rows.
 pub(crate) fn minimum(h: &[Vec<f64>], f: &[f64], most: f64) -> Vec<f64> {
     let n = f.len();
     let mut x = vec![0.0f64; n];
@@ -51,7 +52,8 @@ pub(crate) fn minimum(h: &[Vec<f64>], f: &[f64], most: f64) -> Vec<f64> {
     x
 }
 
-/// The minimum over the variables `free` with the others 0 and, if given, the sum `sum`; and the Lagrange multiplier of the sum.
+/// Returns the minimum over the variables `free`, where the other variables are 0 and, if `sum` is given, the sum is
+/// `sum`; and the Lagrange multiplier of the sum.
 fn on_free(h: &[Vec<f64>], f: &[f64], free: &[usize], sum: Option<f64>) -> Option<(Vec<f64>, f64)> {
     let factor = cholesky(&free.iter().map(|&i| free.iter().map(|&j| h[i][j]).collect()).collect::<Vec<Vec<f64>>>())?;
     let mut x = solved(&factor, &free.iter().map(|&i| f[i]).collect::<Vec<f64>>());
@@ -62,7 +64,7 @@ fn on_free(h: &[Vec<f64>], f: &[f64], free: &[usize], sum: Option<f64>) -> Optio
     Some((x, multiplier))
 }
 
-/// The lower triangle L of `a` = L L'; `None` when `a` is not positive definite.
+/// Returns the lower triangle L of `a` = L L'; `None` when `a` is not positive definite.
 fn cholesky(a: &[Vec<f64>]) -> Option<Vec<Vec<f64>>> {
     let mut l: Vec<Vec<f64>> = Vec::new();
     for (i, row) in a.iter().enumerate() {
@@ -81,7 +83,7 @@ fn cholesky(a: &[Vec<f64>]) -> Option<Vec<Vec<f64>>> {
     Some(l)
 }
 
-/// Solves L L' x = `right`.
+/// Returns the solution of L L' x = `right`.
 fn solved(l: &[Vec<f64>], right: &[f64]) -> Vec<f64> {
     let mut x = right.to_vec();
     for i in 0..x.len() {

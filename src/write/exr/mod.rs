@@ -7,8 +7,8 @@
 //! (openexr.com); colour interop ids: ASWF Color Interop Forum, "Color Space Encodings" (2024).
 //!
 //! The block writer of the `exr` crate needs all blocks within one closure, which is not possible here because rows
-//! arrive from outside. Therefore the frame of the file (magic number, header, offset table) is assembled from parts
-//! of the crate, which encodes the header and all blocks except PIZ.
+//! arrive from outside. Therefore the structure of the file (magic number, header, offset table) is assembled from
+//! parts of the crate, which encodes the header and all blocks except PIZ.
 
 mod piz;
 mod sample;
@@ -25,16 +25,16 @@ pub use writer::Writer;
 #[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
 #[strum(serialize_all = "kebab-case")]
 pub enum Compression {
-    /// Wavelet and Huffman coding of 32 rows: the smallest for photographs.
+    /// Wavelet and Huffman coding of 32 rows: the smallest files for photographs.
     #[default]
     Piz,
-    /// Deflate of 16 rows.
+    /// Deflate of 16 rows at a time.
     #[strum(serialize = "zip")]
     Zip16,
-    /// Deflate of single rows.
+    /// Deflate of one row at a time.
     #[strum(serialize = "zips")]
     Zip1,
-    /// No compression; about twice the size of piz.
+    /// No compression: about twice the size of piz.
     None,
 }
 

@@ -10,12 +10,12 @@ use crate::simd::{Loops, vectorised};
 #[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
 #[strum(serialize_all = "kebab-case")]
 pub enum Sample {
-    /// Half floats, or floats if the range or precision of halves is not enough for the radiance.
+    /// half, or float if the radiance needs more range or precision.
     #[default]
     Auto,
-    /// 16 bits; relative steps of 1/2048 or finer, values up to 65504.
+    /// 16-bit floats: values up to 65504, rounded by at most 1/2048 of the value (from 6e-5 up).
     Half,
-    /// 32 bits: exactly as merged.
+    /// 32-bit floats: exactly as merged.
     Float,
 }
 
@@ -38,11 +38,11 @@ impl Sample {
 /// How well halves represent a picture, counted by rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Fit {
-    /// Values above the largest half, 65504.
+    /// Number of values above the largest half, 65504.
     pub over: u64,
-    /// Values below 6e-6, for which the steps of a half are coarse.
+    /// Number of values below 6e-6, for which the steps of a half are coarse.
     pub fine: u64,
-    /// All values.
+    /// Number of all values.
     pub values: u64,
 }
 
@@ -66,7 +66,7 @@ impl Loops for Count<'_> {
     #[inline(always)]
     fn run(self) -> Fit {
         let mut fit = Fit { over: 0, fine: 0, values: self.0.len() as u64 };
-        // Counters as wide as the values fill complete vectors; they do not overflow for so few values.
+        // Counters as wide as the values fill complete vectors; they do not overflow for 2^20 values.
         for part in self.0.chunks(1 << 20) {
             let (mut over, mut fine) = (0u32, 0u32);
             for &v in part {

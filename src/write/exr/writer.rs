@@ -127,7 +127,7 @@ fn header((width, height): (usize, usize), metadata: &Metadata, options: &Option
     header
 }
 
-/// Magic number, version and header.
+/// Writes the magic number, the version and the header.
 fn put_frame(header: &Header, metadata: &Metadata, out: &mut Vec<u8>) -> ::exr::error::UnitResult {
     let requirements = MetaData::validate(std::slice::from_ref(header), true)?;
     magic_number::write(out)?;
@@ -135,7 +135,8 @@ fn put_frame(header: &Header, metadata: &Metadata, out: &mut Vec<u8>) -> ::exr::
     for (name, value) in header.all_named_attributes() {
         attribute::write(name, &value, out)?;
     }
-    // More standard attributes, for which the crate has no field; its maps for them have no fixed order.
+    // More standard attributes, for which the crate has no fields. The crate's maps of other attributes are not used,
+    // because they have no fixed order.
     let words = |t: &Option<String>| t.as_deref().and_then(text).map(AttributeValue::Text);
     let capture = &metadata.capture;
     let space = Space::of(&metadata.primaries).and_then(Space::interop_id);
@@ -175,7 +176,7 @@ struct Scratch {
     planes: Vec<u16>,
 }
 
-/// Appends the blocks of one band: 64 rows are two of PIZ, four of ZIP.
+/// Appends the blocks of one band; its 64 rows are two blocks of PIZ, or four of ZIP.
 fn encode_band(
     first: usize,
     pixels: &[[f32; 3]],
@@ -212,7 +213,7 @@ fn encode_band(
             out.extend(header.compression.compress_image_section_to_le(header, data, place)?);
         }
         let length = out.len() - start;
-        // 32 rows never have 2 GB.
+        // A block of at most 32 rows is smaller than 2 GB, so its length fits.
         out[start + 4..start + 8].copy_from_slice(&((length - 8) as u32).to_le_bytes());
         Ok(length)
     });
@@ -220,7 +221,8 @@ fn encode_band(
     (blocks, over)
 }
 
-/// Returns rows of all of B, then G, then R, in the byte order of the machine, as the crate expects.
+/// Returns the planes as rows, each with all values of B, then of G, then of R, in the byte order of the machine, as
+/// the crate expects.
 fn plain(planes: &[u16], width: usize, words: usize) -> Vec<u8> {
     let size = planes.len() / (3 * words);
     let mut out = vec![0; 2 * planes.len()];
@@ -288,7 +290,7 @@ mod tests {
         (std::fs::read(&path).unwrap(), whole.warnings, map, back)
     }
 
-    /// Small values become the smallest half instead of 0.
+    /// Returns the half that is written for `v`: small values become the smallest half instead of 0.
     fn half(v: f32) -> f32 {
         let nearest = f16::from_f32(v).to_f32();
         if v > 0.0 { nearest.max(f16::from_bits(1).to_f32()) } else { nearest }

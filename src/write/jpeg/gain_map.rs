@@ -17,7 +17,7 @@ use crate::bracket::colour::{Conversion, Primaries, srgb_to_linear};
 use crate::plane::BAND_ROWS;
 use crate::tonemap::display::codes::Colours;
 
-/// Added to both values before the ratio, so that black has one. A smaller offset represents shadows more exactly,
+/// Added to both values before the ratio, so that black has a ratio. A smaller offset represents shadows more exactly,
 /// and uses more of the map's range.
 pub const OFFSET: f64 = 1.0 / 1024.0;
 
@@ -27,7 +27,8 @@ pub const MOST_STOPS: f64 = 6.0;
 /// Largest darkening relative to the picture, in stops; darker radiance is black on any display.
 pub(super) const MOST_FALL: f64 = 10.0;
 
-/// Numbers are multiples of 1 over this, so that decimals and fractions are exactly the same.
+/// Gains and headroom are multiples of 1 / `GRAIN` stops, so that the decimals in the XMP and the fractions in the ISO
+/// block are exactly the same.
 pub(super) const GRAIN: f64 = 1024.0;
 
 /// Size of the gain map.
@@ -38,14 +39,14 @@ pub enum Resolution {
     /// As large as the picture: contains the radiance of every pixel.
     #[default]
     Full,
-    /// Half the width and height; a smaller file, but the radiance is blurred at edges.
+    /// Half the width and height: a smaller file, but the radiance is blurred at edges.
     Half,
     /// No gain map: an ordinary JPEG.
     None,
 }
 
 impl Resolution {
-    /// Returns the pixels of the picture per pixel of the map in a row; `None` without map.
+    /// Returns the number of pixels of the picture per pixel of the map, along either axis; `None` without a map.
     pub(super) fn step(self) -> Option<usize> {
         match self {
             Resolution::Full => Some(1),
@@ -64,23 +65,22 @@ pub struct Rendition {
     pub least_stops: f64,
     /// The largest gain in the map, in stops.
     pub most_stops: f64,
-    /// The stops above white that a display needs to show all of it.
+    /// The stops above white that a display needs to show all of the radiance.
     pub headroom_stops: f64,
 }
 
 impl Default for Rendition {
-    /// For unknown radiance.
+    /// Returns the rendition for unknown radiance.
     fn default() -> Self {
         Rendition { white: 1.0, least_stops: -MOST_FALL, most_stops: MOST_STOPS, headroom_stops: MOST_STOPS }
     }
 }
 
 impl Rendition {
-    /// Returns the JPEG quality of the map: finer if a code is more stops, so that the error in stops is about the
-    /// same. Measured: 97 % or more of the pixels in range are within 0.1 stop.
+    /// Returns the JPEG quality of the map: higher if a code of the map covers more stops, so that the error in stops
+    /// is about the same. Measured: 97 % or more of the pixels in range are within 0.1 stop.
     pub(super) fn map_quality(&self) -> u8 {
         let range = self.most_stops - self.least_stops;
-        // The cast limits larger values to the type.
         (100.0 - 11.0 / range.max(0.1)).round().clamp(90.0, 99.0) as u8
     }
 }
@@ -90,7 +90,8 @@ impl Rendition {
 pub(super) struct ToBase(Option<Conversion>);
 
 impl ToBase {
-    /// No conversion if they are those of the picture to three places, or are not valid primaries.
+    /// Creates the conversion from `primaries` to those of `colours`: none if both are the same to three places, or if
+    /// `primaries` are not valid.
     pub(super) fn of(primaries: &Primaries, colours: Colours) -> Self {
         let is_same = primaries.is_close(&colours.primaries(), 1e-3);
         ToBase(Conversion::between(primaries, &colours.primaries()).filter(|_| !is_same))
@@ -108,7 +109,8 @@ pub(super) fn lit(v: f32) -> f32 {
     if v > 0.0 { v } else { 0.0 }
 }
 
-/// Limits a luminance, relative to white, to the range of the gain map.
+/// Returns the light `v * scale`, relative to white, limited to the range of the gain map: 0 to 64, which is 6 stops
+/// above white.
 #[inline(always)]
 pub(super) fn shown(v: f32, scale: f32) -> f32 {
     let scaled = lit(v * scale);
@@ -116,7 +118,7 @@ pub(super) fn shown(v: f32, scale: f32) -> f32 {
     if scaled < MOST { scaled } else { MOST }
 }
 
-/// The light of the codes.
+/// The linear light of every 8-bit code.
 pub(super) struct Base {
     pub(super) linear: [f32; 256],
 }
@@ -126,23 +128,24 @@ impl Base {
         Base { linear: std::array::from_fn(|code| srgb_to_linear(code as f64 / 255.0) as f32) }
     }
 
-    /// Returns log2 of the light of `code`, with the offset.
+    /// Returns log2 of the sum of the light of `code` and [`OFFSET`].
     pub(super) fn stops(&self, code: u8) -> f64 {
         libm::log2(f64::from(self.linear[usize::from(code)]) + OFFSET)
     }
 }
 
-/// Number of low bits of a float that are dropped for the table of logarithms: 512 cells per octave, which is 1/1000
-/// stop in both directions.
+/// Number of low bits of a float that are dropped for the table of logarithms: 512 cells per octave, so the middle of a
+/// cell is within about 1/1000 stop of its values.
 const CELL_BITS: u32 = 14;
 
 /// Converts radiance and codes to codes of the map.
 pub(super) struct Gains {
     to_base: ToBase,
     scale: f32,
-    /// By the upper bits of the float: log2 of light with the offset, in codes of the map.
+    /// For each cell (upper bits of the sum of light and offset), from that of black on: log2 of the sum, in codes of
+    /// the map.
     of_light: Vec<f32>,
-    /// By code: log2 of its light with the offset and the smallest gain, in codes of the map.
+    /// For each code: log2 of the sum of its light and the offset, plus the smallest gain, in codes of the map.
     of_code: [f32; 256],
 }
 
@@ -163,7 +166,7 @@ impl Gains {
         }
     }
 
-    /// Index of the cell of black.
+    /// Returns the cell of black, which is the first.
     fn first() -> u32 {
         (OFFSET as f32).to_bits() >> CELL_BITS
     }
@@ -180,7 +183,7 @@ impl Gains {
 
     /// Returns the map for rows of `width` pixels, one code for `step` x `step` pixels: their mean gain.
     pub(super) fn codes(&self, radiance: &[[f32; 3]], shown: &[[u8; 3]], width: usize, step: usize) -> Vec<[u8; 3]> {
-        // The cast rounds down and limits larger values to the type.
+        // The cast rounds down and limits values to 0..=255.
         let code = |gain: f32| (gain + 0.5) as u8;
         if step == 1 {
             return radiance.iter().zip(shown).map(|(&p, &q)| self.of(p, q).map(code)).collect();
@@ -205,7 +208,7 @@ impl Gains {
     }
 }
 
-/// Rows of the picture per strip: a strip of the map has complete blocks of eight rows at any resolution.
+/// Number of rows of the picture per strip: a strip of the map has complete blocks of eight rows at any resolution.
 pub(super) const STRIP_ROWS: usize = BAND_ROWS;
 
 #[cfg(test)]
@@ -245,10 +248,10 @@ mod tests {
     fn the_mid_tones_agree_and_the_highlights_rise() {
         let (radiance, shown) = scene();
         let found = rendition(&radiance, &shown, None);
-        // A code of the darkest mid-tone is 2.6 % of its light.
+        // At the darkest mid-tone, a step of one code is 2.6 % of the light.
         assert!((found.white / 40.0 - 1.0).abs() < 0.03, "{found:?}");
-        // The peak of 2.5 stops, without its last 0.2 %; gains are 0 and 2, except for the rounding of codes from 8
-        // on (6 % of light).
+        // The peak is 2.5 times white, and its last 0.2 % is not counted. Gains are 0 and 2 stops, except for the
+        // rounding of codes from 8 on (6 % of the light at code 8).
         assert!((found.headroom_stops - libm::log2(2.5)).abs() < 0.1, "{found:?}");
         assert!((found.most_stops - 2.0).abs() < 0.15 && found.least_stops.abs() < 0.15, "{found:?}");
         for stops in [found.most_stops, found.least_stops, found.headroom_stops] {
@@ -272,7 +275,8 @@ mod tests {
         }
     }
 
-    /// The formula of the standard in double precision; the error of the table is 1/1000 stop, far below half a code.
+    /// The expected codes are from the formula of the standard in double precision; the error of the table is 1/1000
+    /// stop, far below half a code.
     #[test]
     fn codes_are_those_of_the_formula() {
         let (radiance, shown) = scene();
@@ -295,7 +299,7 @@ mod tests {
     fn half_is_the_mean_of_two_by_two() {
         let found = Rendition { white: 1.0, least_stops: 0.0, most_stops: 2.0, headroom_stops: 2.0 };
         let gains = Gains::new(&found, &Primaries::SRGB, Colours::Srgb);
-        // Gains of 0, 1, 2 and 3 stops; the map limits the last to 2. The third column and row are incomplete cells.
+        // Gains of 0, 1, 2 and 3 stops; the map limits 3 to 2. The third column and row are incomplete cells.
         let light = |stops: f32| [libm::exp2f(stops) * (1.0 + OFFSET as f32) - OFFSET as f32; 3];
         let radiance = [0.0, 1.0, 2.0, 2.0, 3.0, 0.0, 1.0, 1.0, 2.0].map(light);
         let half = gains.codes(&radiance, &[[255; 3]; 9], 3, 2);

@@ -1,7 +1,7 @@
 //! Baseline JPEG: 8-bit RGB as YCbCr at full resolution, in independent strips of 64 rows.
 //!
 //! In: rows of codes. Out: a baseline JPEG. Cost: 15 ns per pixel and core. Source: ITU-T T.81, annex B (markers),
-//! E.1.4 (restart intervals), K.3 (the Huffman tables); JFIF 1.02; by the `jpeg-encoder` crate.
+//! E.1.4 (restart intervals), K.3 (the Huffman tables); JFIF 1.02. Pictures are encoded by the `jpeg-encoder` crate.
 //!
 //! Strips are encoded in parallel as separate pictures, and the data of each becomes one restart interval of the
 //! file: the same bytes on any number of threads.
@@ -24,7 +24,7 @@ pub(super) struct Strip {
     bytes: Vec<u8>,
     /// The segments of the quantisation and Huffman tables, one after the other.
     tables: Vec<u8>,
-    /// The entropy-coded data.
+    /// Range of the entropy-coded data in `bytes`.
     data: Range<usize>,
 }
 
@@ -47,7 +47,7 @@ impl Strip {
 
     /// Returns the pixels that a reader of the file decodes: the same on any processor.
     pub(super) fn decoded(&self) -> io::Result<Vec<u8>> {
-        // Without vector instructions it takes the same time, because entropy coding dominates.
+        // `new_safe` decodes without vector instructions. This takes the same time, because entropy coding dominates.
         let options = DecoderOptions::new_safe()
             .set_strict_mode(true)
             .set_max_width(usize::from(u16::MAX))
@@ -81,12 +81,12 @@ const EOI: u8 = 0xD9;
 const SOS: u8 = 0xDA;
 const DQT: u8 = 0xDB;
 const DRI: u8 = 0xDD;
-/// Application segments: JFIF, and those that begin with a name.
+/// Application segments: `APP0` for JFIF, `APP1` and `APP2` for content that begins with a name.
 pub(super) const APP0: u8 = 0xE0;
 pub(super) const APP1: u8 = 0xE1;
 pub(super) const APP2: u8 = 0xE2;
 
-/// Appends a segment of `parts`.
+/// Appends a segment with the marker code `code` and the content `parts`, one after the other.
 ///
 /// # Errors
 /// If it would be longer than the format allows.
@@ -141,9 +141,9 @@ impl Strips {
         self.count += 1;
     }
 
-    /// Returns the size of the file of [`end`](Self::end), without the application segments.
+    /// Returns the size in bytes of the file that [`end`](Self::end) returns, without the application segments.
     pub(super) fn bytes_without_segments(&self) -> usize {
-        // SOI, SOF0 of three components, DRI, SOS of three components, EOI.
+        // SOI, the tables, SOF0 of three components, DRI, SOS of three components, the data, EOI.
         2 + self.tables.len() + 19 + 6 + 14 + self.data.len() + 2
     }
 
@@ -199,7 +199,7 @@ mod tests {
             let whole = image::load_from_memory(&file).unwrap().to_rgb8();
             assert_eq!(whole.dimensions(), (width as u32, height as u32));
             assert!(whole.as_raw() == &own, "{width}x{height}");
-            // Steps at quality 90 are at most 24; the mean error is far smaller.
+            // Quantisation steps at quality 90 are at most 24; the mean error is far smaller.
             let far =
                 own.iter().zip(picture.as_slice().as_flattened()).map(|(a, b)| u64::from(a.abs_diff(*b))).sum::<u64>();
             assert!(far < 12 * own.len() as u64, "{far}");

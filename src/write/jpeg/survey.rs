@@ -19,7 +19,7 @@ pub struct Survey {
     to_base: ToBase,
     width: usize,
     step: usize,
-    /// The radiance in the primaries of the picture, and the codes.
+    /// For each sampled pixel, the radiance in the primaries of the picture, and the codes of the picture.
     seen: Vec<([f32; 3], [u8; 3])>,
 }
 
@@ -33,7 +33,8 @@ impl Survey {
         Survey { to_base: ToBase::of(primaries, colours), width: size.0, step, seen: Vec::new() }
     }
 
-    /// Adds samples of the rows `pixels`, from row `first` on; `show` returns the codes of a row by its number.
+    /// Adds samples of the rows `pixels`, from row `first` on; `show` writes the codes of a row, given its number and
+    /// its radiance.
     pub fn see(
         &mut self,
         first: usize,
@@ -55,8 +56,8 @@ impl Survey {
         self.seen.extend(seen.into_iter().flatten());
     }
 
-    /// Returns the rendition for the samples. `white` is the radiance that is shown as the picture's white; `None`
-    /// for that for which both agree in the mid-tones.
+    /// Returns the rendition for the samples. `white` is the radiance that is shown as the picture's white; for `None`,
+    /// it is chosen so that radiance and picture agree in the mid-tones.
     pub fn rendition(self, white: Option<f32>) -> Rendition {
         let white = white.filter(|w| w.is_finite() && *w > 0.0).unwrap_or_else(|| self.white());
         let base = Base::new();
@@ -65,7 +66,7 @@ impl Survey {
         for (light, codes) in &self.seen {
             let light = light.map(|v| shown(v, scale));
             peaks.push(light[0].max(light[1]).max(light[2]));
-            // The gain of values close to black is not reliable.
+            // The gain of codes close to black is not reliable.
             let reliable = light.iter().zip(codes).filter(|(_, code)| **code >= LEAST_CODE);
             gains.extend(reliable.map(|(&v, &code)| (libm::log2(f64::from(v) + OFFSET) - base.stops(code)) as f32));
         }
@@ -78,7 +79,7 @@ impl Survey {
         let least = (at(&gains, 0.001) * GRAIN).floor() / GRAIN;
         // A few very bright pixels must not reduce the precision of all others.
         let most = (at(&gains, 0.9999) * GRAIN).ceil() / GRAIN;
-        // A range of 0 would be divided by.
+        // The range must not be 0, because it is a divisor.
         let least = least.clamp(-MOST_FALL, 0.0) + 0.0;
         let most = most.clamp(0.0, MOST_STOPS).max(least + 0.125);
         let headroom = (libm::log2(at(&peaks, 0.998).max(1.0)) * GRAIN).round() / GRAIN;
@@ -116,8 +117,8 @@ impl Survey {
 /// Range of luminance of the mid-tones of the picture, about codes 63 to 188.
 const MIDDLE: std::ops::RangeInclusive<f32> = 0.05..=0.5;
 
-/// Smallest code whose gain must be in the range.
+/// Smallest code whose gain counts for the range of the map.
 const LEAST_CODE: u8 = 8;
 
-/// Smallest headroom, because readers divide by it.
+/// Smallest headroom in stops; not 0, because readers divide by it.
 const LEAST_HEADROOM: f64 = 0.5;

@@ -12,9 +12,9 @@ pub(super) const ISO: &[u8] = b"urn:iso:std:iso:ts:21496:-1\0";
 /// The minimum version for a reader, and the version of the writer.
 pub(super) const VERSION: [u8; 4] = [0; 4];
 pub(super) const MPF: &[u8] = b"MPF\0";
-/// Bytes of the index from its header on: header, three tags, two entries.
+/// Number of bytes of the multi-picture index from its header on: header, three tags, two entries.
 pub(super) const MPF_BYTES: usize = 8 + 2 + 3 * 12 + 4 + 2 * 16;
-/// Bytes from the start of the index's segment to its header.
+/// Number of bytes from the start of the segment of the multi-picture index to the header of the index.
 pub(super) const MPF_HEADER: usize = 4 + MPF.len();
 
 /// Returns the multi-picture index (DC-007, 5.2): sizes of both images, and the offset of the second from the header
@@ -61,7 +61,7 @@ pub(super) fn put_xmp(packet: &str, out: &mut Vec<u8>) -> io::Result<()> {
 }
 
 /// Returns an XMP packet with the attributes and content `description`. It ends with a line feed: ImageMagick
-/// overwrites the last byte before it reads.
+/// overwrites the last byte of a packet before it reads the packet.
 fn packet(software: &str, description: &str) -> String {
     let software: String = software.chars().filter(|c| !matches!(c, '<' | '>' | '&' | '"')).collect();
     format!(

@@ -39,8 +39,8 @@ struct Map {
 }
 
 impl Writer {
-    /// Starts a file of `size` pixels with `colours`, described by the [`profile`](Metadata::profile); without one it
-    /// is sRGB and marked as such.
+    /// Starts a file of `size` pixels with `colours`, described by the [`profile`](Metadata::profile); without a
+    /// profile the picture is sRGB and marked as such.
     ///
     /// # Errors
     /// [`Error::Write`] if a side is longer than 65500 px.
@@ -77,7 +77,7 @@ impl Writer {
         })
     }
 
-    /// Adds the next complete rows of either or both, in order.
+    /// Adds the next complete rows of radiance, of the picture, or of both, in order.
     ///
     /// # Errors
     /// [`Error::Write`].
@@ -169,7 +169,7 @@ fn check_size(path: &Path, (width, height): (usize, usize)) -> Result<()> {
     Err(Error::Write { path: path.to_owned(), source: io::Error::new(io::ErrorKind::InvalidInput, reason) })
 }
 
-/// Returns the first segments of both kinds of file: JFIF, EXIF, the profile.
+/// Returns the first segments of a file, with or without a gain map: JFIF, EXIF, the profile.
 fn segments(size: (usize, usize), metadata: &Metadata) -> io::Result<Vec<u8>> {
     let mut out = Vec::new();
     strips::put_jfif(&mut out)?;
@@ -193,7 +193,7 @@ fn put_together(base: Strips, map: Option<Map>, mut segments: Vec<u8>) -> io::Re
     let second_size = second[0].len() + second[1].len();
     put_xmp(&primary_xmp(second_size, &map.software), &mut segments)?;
     put_segment(APP2, &[ISO, &VERSION], &mut segments)?;
-    // The index is the last segment: the offset of the second image is relative to its header.
+    // The index is the last segment: the offset of the second image is relative to the header of the index.
     let index_at = 2 + segments.len() + MPF_HEADER;
     let first_size = base.bytes_without_segments() + segments.len() + 4 + MPF.len() + MPF_BYTES;
     let offset = first_size - index_at;

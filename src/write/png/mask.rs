@@ -1,6 +1,6 @@
 //! Masks: 8-bit grey PNG.
 //!
-//! In: a plane of bytes. Out: a PNG, for people and programs; the values are not light, so it has no colour space.
+//! In: a plane of bytes. Out: a PNG, for people and programs; the values are not light, so the PNG has no colour space.
 //! Cost: about 10 ns per pixel. Source: PNG (3rd ed., W3C 2025), section 11.2.1 (colour type 0).
 
 use crate::error::{Error, Result};
@@ -10,7 +10,7 @@ use crate::write::staging::{Pending, Written};
 use std::io::{self, Write};
 use std::path::Path;
 
-/// Checks that a mask can be written to `path` by its extension, and that there `is_one`.
+/// Checks that a mask can be written to `path` by its extension, and that there is a mask (`is_one`).
 ///
 /// # Errors
 /// [`Error::UnknownExtension`]; [`Error::Option`] if motion is not detected, so that there is no mask.
@@ -43,7 +43,7 @@ fn encode(mask: &Plane<u8>) -> io::Result<Vec<u8>> {
     let mut encoder = png::Encoder::new(&mut bytes, side(mask.width())?, side(mask.height())?);
     encoder.set_color(png::ColorType::Grayscale);
     encoder.set_depth(png::BitDepth::Eight);
-    // So that it is not mistaken for a photograph.
+    // The name of the program keeps hdralign from reading the mask as a photograph.
     encoder.add_text_chunk("Software".into(), Metadata::default().software)?;
     let mut writer = encoder.write_header()?;
     writer.write_image_data(mask.as_slice())?;

@@ -15,7 +15,7 @@ use flate2::write::ZlibEncoder;
 use flate2::{Compression, Crc};
 use std::io::{self, Write};
 
-/// A code that PNG supports.
+/// Type of the codes of a picture that PNG supports.
 pub trait Sample: crate::write::tiff::Sample {
     /// Returns the bytes of `pixels`, high bytes first; in `buffer` if they have to be converted.
     fn bytes<'a>(pixels: &'a [[Self; 3]], buffer: &'a mut Vec<u8>) -> &'a [u8];
@@ -47,8 +47,8 @@ pub struct Writer<T> {
 }
 
 impl<T: Sample> Writer<T> {
-    /// Writes the header of a picture of `size` pixels with `colours`, described by the
-    /// [`profile`](Metadata::profile); without one it is sRGB and marked as such. Rows follow.
+    /// Writes the header of a picture of `size` pixels with `colours`, described by the [`profile`](Metadata::profile);
+    /// without a profile the picture is sRGB and marked as such. Rows follow.
     ///
     /// # Errors
     /// [`Error::Write`](crate::error::Error::Write).
@@ -78,7 +78,7 @@ impl<T: Sample> RowWriter<[T; 3]> for Writer<T> {
 
     fn finish(mut self: Box<Self>) -> Result<Written> {
         self.bands.complete().map_err(|e| self.file.error(e))?;
-        // The stream of the bands ends with the checksum of all of them.
+        // The stream of the bands ends with the checksum of all bands.
         let mut end = Vec::new();
         put_chunk(b"IDAT", &self.adler.sum().to_be_bytes(), &mut end);
         put_chunk(b"IEND", &[], &mut end);
@@ -99,7 +99,7 @@ fn header((width, height): (usize, usize), bits: u8, metadata: &Metadata, colour
     put_chunk(b"IHDR", &[&side(width)?[..], &side(height)?, &[bits, 2, 0, 0, 0]].concat(), &mut out);
     if colours == Colours::DisplayP3 {
         // Primaries of SMPTE EG 432-1, sRGB's transfer function, RGB, full range (ITU-T H.273); readers that do not
-        // know it use the profile.
+        // know cICP use the profile.
         put_chunk(b"cICP", &[12, 13, 0, 1], &mut out);
     }
     match &metadata.profile {
@@ -137,8 +137,8 @@ fn end_chunk(start: usize, out: &mut Vec<u8>) {
     out.extend_from_slice(&crc.sum().to_be_bytes());
 }
 
-/// Appends a chunk with the filtered rows of `bytes`, `pixel` bytes each pixel, as deflate blocks that end at a byte
-/// boundary, and returns their checksum. The first band begins the stream, the last one ends it.
+/// Appends a chunk with the filtered rows of `bytes`, which have `pixel` bytes per pixel, as deflate blocks that end at
+/// a byte boundary. Returns the checksum of the filtered rows. The first band begins the stream, the last one ends it.
 fn encode_band(
     bytes: &[u8],
     pixel: usize,
@@ -163,8 +163,8 @@ fn encode_band(
     Ok(Adler::of(raw))
 }
 
-/// Filters rows of `stride` bytes, `PIXEL` per pixel: the number of the filter and the filtered row. Paeth, or Sub if
-/// the row above belongs to another band.
+/// Filters rows of `stride` bytes with `PIXEL` bytes per pixel: writes the number of the filter and the filtered bytes
+/// of each row. The filter is Paeth, or Sub for the first row of a band, because the row above belongs to another band.
 struct Filter<'a, const PIXEL: usize> {
     bytes: &'a [u8],
     stride: usize,
@@ -191,7 +191,7 @@ impl<const PIXEL: usize> Loops for Filter<'_, PIXEL> {
                 }
                 Some(above) => {
                     kind[0] = 4;
-                    // There is no pixel left of the first, so the one above is closest.
+                    // There is no pixel left of the first, so Paeth predicts from the pixel above.
                     for ((to, &v), &up) in out_first.iter_mut().zip(first).zip(above) {
                         *to = v.wrapping_sub(up);
                     }
@@ -272,7 +272,7 @@ mod tests {
         }
     }
 
-    /// Section 9.2, implemented byte by byte.
+    /// The expected bytes are computed byte by byte as in section 9.2 of the standard.
     #[test]
     fn rows_are_filtered_by_the_standard() {
         for width in [1, 2, 21, 200] {

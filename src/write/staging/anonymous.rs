@@ -1,17 +1,18 @@
 //! Anonymous files: files without a name, which the system removes when their process ends, however it ends.
 //!
-//! In: a folder. Out: an open file, and later a link to it. Cost: that of any file. Linux supports them (`O_TMPFILE`) on most of its file
-//! systems. On other systems there are none, and temporary names are used.
+//! In: a folder. Out: an open file, and later a link to it. Cost: that of any file. Linux supports them (`O_TMPFILE`)
+//! on most of its file systems. On other systems there are none, and temporary names are used.
 
 use std::fs::File;
 use std::io;
 use std::path::Path;
 
-/// An anonymous file in `folder`, with the permissions that a new file has; none where the system or the file system has no such files.
+/// Creates an anonymous file in `folder` with the permissions of a new file; `None` where the system or the file system
+/// does not support anonymous files.
 #[cfg(target_os = "linux")]
 pub(super) fn create(folder: &Path) -> Option<File> {
     use rustix::fs::{Mode, OFlags, open};
-    // Asked for rw-rw-rw-, the system takes off the umask.
+    // The system removes the bits of the umask from rw-rw-rw-.
     let mode = Mode::from_raw_mode(0o666);
     open(folder, OFlags::TMPFILE | OFlags::RDWR | OFlags::CLOEXEC, mode).ok().map(File::from)
 }
@@ -26,7 +27,8 @@ pub(super) fn link(file: &File, path: &Path) -> io::Result<()> {
     use rustix::io::Errno;
     use std::os::fd::AsRawFd;
     match linkat(file, "", CWD, path, AtFlags::EMPTY_PATH) {
-        // Before Linux 6.10 only a privileged process may do so; /proc is needed then.
+        // Before Linux 6.10 only a privileged process may link an open file directly; other processes link it by its
+        // name in /proc.
         Err(e) if e != Errno::EXIST => {
             let entry = format!("/proc/self/fd/{}", file.as_raw_fd());
             Ok(linkat(CWD, entry, CWD, path, AtFlags::SYMLINK_FOLLOW)?)

@@ -1,8 +1,9 @@
 //! Claims: temporary names in a folder, and the process that they belong to.
 //!
-//! In: a folder. Out: names `.hdralign-ID-N.part` in it, and beside them the file `.hdralign-ID.lock`, which contains [`SIGNATURE`] and is
-//! locked while the process runs. [`sweep`] removes the files of claims that no process has locked. A file without a claim belongs to the
-//! user, whatever its name. Cost: one open file for each folder; a lock is one system call, the signature one fsync.
+//! In: a folder. Out: names `.hdralign-ID-N.part` in it, and beside them the file `.hdralign-ID.lock`, which contains
+//! [`SIGNATURE`] and is locked while the process runs. [`sweep`] removes the files of claims that no process has
+//! locked. A file without a claim belongs to the user, whatever its name. Cost: one open file for each folder; a lock
+//! is one system call, the signature one fsync.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File, OpenOptions, TryLockError};
@@ -14,16 +15,16 @@ const PREFIX: &str = ".hdralign-";
 const PART: &str = ".part";
 const LOCK: &str = ".lock";
 
-/// Letters and digits of an ID: 62^12 combinations.
+/// Number of letters and digits of an ID: 62^12 combinations.
 const ID_LENGTH: usize = 12;
 
 /// Content of a lock file. Lock files of older versions have the same text, so it must not change, not even the path.
 const SIGNATURE: &[u8] = b"hdralign: temporary files are written here; see docs/faults.md\n";
 
-/// Number of attempts to create a lock file, if one is swept before it is locked.
+/// Maximum number of attempts to create a lock file; an attempt fails if a sweep finds the file before it is locked.
 const TRIES: usize = 16;
 
-/// Temporary names in a folder. Dropped, their files are removed.
+/// Temporary names in a folder. When dropped, their files are removed.
 #[derive(Debug)]
 pub(super) struct Claim {
     _lock: NamedTempFile,
@@ -35,21 +36,21 @@ pub(super) struct Claim {
 }
 
 impl Claim {
-    /// A claim on `folder`, without names.
+    /// Creates a claim on `folder`, without names.
     ///
     /// # Errors
     /// The error of the system.
     pub fn new(folder: &Path) -> io::Result<Claim> {
         let mut lock = locked_in(folder)?;
         lock.write_all(SIGNATURE)?;
-        // After a power failure the files could not be recognised without it.
+        // Without a signature on the disk, the files could not be recognised after a power failure.
         lock.as_file().sync_all()?;
         let name = lock.path().file_name().unwrap_or_default().to_string_lossy().into_owned();
         let id = id_of(&name).unwrap_or_default().to_owned();
         Ok(Claim { _lock: lock, folder: folder.to_owned(), id, made: 0, paths: BTreeSet::new() })
     }
 
-    /// A new name.
+    /// Returns a new name; its file does not exist yet.
     pub fn name(&mut self) -> PathBuf {
         let path = self.folder.join(format!("{PREFIX}{}-{}{PART}", self.id, self.made));
         self.made += 1;
@@ -57,9 +58,9 @@ impl Claim {
         path
     }
 
-    /// Removes the file `path`, if it exists, and its name. Returns whether that was the last one.
+    /// Removes the file `path`, if it exists, and its name. Returns whether it was the last name of the claim.
     pub fn remove(&mut self, path: &Path) -> bool {
-        // It usually has its final name by now; otherwise an error cannot be reported.
+        // Usually the file already has its final name; otherwise an error cannot be reported here.
         let _ = fs::remove_file(path);
         self.paths.remove(path);
         self.paths.is_empty()
@@ -68,7 +69,7 @@ impl Claim {
 
 impl Drop for Claim {
     fn drop(&mut self) {
-        // The lock file is removed after them.
+        // The lock file is removed after these files, when the field `_lock` is dropped.
         for path in &self.paths {
             let _ = fs::remove_file(path);
         }
@@ -82,7 +83,7 @@ fn locked_in(folder: &Path) -> io::Result<NamedTempFile> {
         let lock = tempfile::Builder::new().prefix(PREFIX).suffix(LOCK).rand_bytes(ID_LENGTH).make_in(folder, open)?;
         match lock.as_file().try_lock() {
             Ok(()) if lock.path().exists() => return Ok(lock),
-            // A sweep found it before it was locked, and removes it, or has done so.
+            // A sweep found the lock file before it was locked, and removes it, or has done so.
             Ok(()) | Err(TryLockError::WouldBlock) => {}
             Err(TryLockError::Error(_)) => return Ok(lock),
         }
@@ -90,15 +91,15 @@ fn locked_in(folder: &Path) -> io::Result<NamedTempFile> {
     Err(io::Error::other("temporary files disappear from the folder as soon as they are made"))
 }
 
-/// The ID in the name of a lock file.
+/// Returns the ID in the name of a lock file; `None` for other names.
 fn id_of(name: &str) -> Option<&str> {
     name.strip_prefix(PREFIX)?.strip_suffix(LOCK).filter(|id| id.len() == ID_LENGTH)
 }
 
 /// Removes the temporary files that killed processes left in `folder`, and returns their number. Those of a running
-/// process are protected by the file that it has locked; if the file system does not support locks, nothing is
-/// removed. If locks do not reach other machines (Lustre's `localflock`), it must not run while another machine
-/// writes there, because that machine could not name its files.
+/// process are protected by the file that it has locked; if the file system does not support locks, nothing is removed.
+/// If locks do not reach other machines (Lustre's `localflock`), do not call this while another machine writes to the
+/// folder, because the temporary files of that machine would be removed.
 pub fn sweep(folder: &Path) -> usize {
     names(folder).iter().filter_map(|name| id_of(name)).map(|id| sweep_one(folder, id)).sum()
 }
@@ -122,7 +123,7 @@ fn sweep_one(folder: &Path, id: &str) -> usize {
     parts.chain([lock]).filter(|path| fs::remove_file(path).is_ok()).count()
 }
 
-/// A lock file whose process has ended, locked by this one.
+/// A lock file whose process has ended, locked by this process.
 struct Abandoned {
     _locked: File,
     /// False if the process was killed before it had written the signature, and so before it created names.
@@ -130,9 +131,9 @@ struct Abandoned {
 }
 
 impl Abandoned {
-    /// Opens the lock file `path`, if it is one and no process has it locked.
+    /// Opens `path` and locks it, if it is a lock file of hdralign that no process has locked.
     fn at(path: &Path) -> Option<Abandoned> {
-        // A link is not ours. A lock on NFS needs a writable file.
+        // A symbolic link is not a lock file of hdralign. On NFS, only a file that is open for writing can be locked.
         fs::symlink_metadata(path).ok().filter(|there| there.is_file())?;
         let file = OpenOptions::new().read(true).write(true).open(path).ok()?;
         file.try_lock().ok()?;

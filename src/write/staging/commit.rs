@@ -1,7 +1,7 @@
 //! Commit: all files of a run are completed and then renamed to their targets, or none is.
 //!
-//! In: the paths of outputs, and bytes. Out: a [`Pending`] is a temporary file in the folder of its target; [`commit`] completes and renames all
-//! files of a run. Cost: one fsync for each file, started when its last byte is written.
+//! In: the paths of outputs, and bytes. Out: a [`Pending`] is a temporary file in the folder of its target; [`commit`]
+//! completes and renames all files of a run. Cost: one fsync for each file, started when its last byte is written.
 
 use super::targets::folder_of;
 use super::temporary::{PROCESS_REGISTRY, Registry, Staged, State, TemporaryFile};
@@ -26,7 +26,7 @@ pub struct Pending {
     syncing: Option<JoinHandle<io::Result<()>>>,
 }
 
-/// What the buffer writes to.
+/// The temporary file, as the buffer of [`Pending`] writes to it.
 #[derive(Debug)]
 struct Open(TemporaryFile);
 
@@ -47,8 +47,8 @@ impl Seek for Open {
 }
 
 impl Pending {
-    /// Creates the temporary file with the permissions of a new file: anonymous where the system supports it, otherwise hidden and named
-    /// `.hdralign-*.part`.
+    /// Creates the temporary file with the permissions of a new file: anonymous where the system supports it, otherwise
+    /// hidden and named `.hdralign-*.part`.
     ///
     /// # Errors
     /// [`Error::Write`]; [`Error::Abandoned`] after [`abandon`](super::abandon).
@@ -66,7 +66,7 @@ impl Pending {
         &self.target
     }
 
-    /// `source` as an error of this file.
+    /// Returns `source` as an error of this file.
     pub(crate) fn error(&self, source: io::Error) -> Error {
         write_error(&self.target, source)
     }
@@ -76,7 +76,7 @@ impl Pending {
         self.write_all(bytes).map_err(|source| write_error(&self.target, source))
     }
 
-    /// Starts to sync what is written so far and returns at once; [`complete`](Self::complete) waits for it.
+    /// Starts to sync what is written so far and returns at once; [`complete`](Self::complete) waits for the sync.
     ///
     /// # Errors
     /// [`Error::Write`].
@@ -107,7 +107,8 @@ impl Seek for Pending {
     }
 }
 
-/// A complete, synced file that waits to be renamed to its target. When dropped, it is removed. Only some of many stay open.
+/// A complete, synced file that waits to be renamed to its target. When dropped, it is removed. Of many such files,
+/// only some stay open.
 #[derive(Debug)]
 pub struct CompleteFile {
     target: PathBuf,
@@ -167,12 +168,14 @@ pub fn commit(files: Vec<Pending>, overwrite: bool) -> Result<()> {
     rename_all(files.into_iter().map(Pending::complete).collect::<Result<_>>()?, overwrite)
 }
 
-/// Renames `files` to their targets, in order: if the process is killed meanwhile, the first ones are renamed, so the last file proves that
-/// all are there. A file that replaces another gets its permissions. When a rename fails, the files renamed before it are removed again,
-/// except those that replaced an older file, which cannot be restored.
+/// Renames `files` to their targets, in order: if the process is killed meanwhile, only the first ones are renamed, so
+/// if the last file exists, all do. A file that replaces another gets the permissions of that file. When a rename
+/// fails, the files renamed before it are removed again, except those that replaced an older file, which cannot be
+/// restored.
 ///
 /// # Errors
-/// [`Error::OutputExists`] where a target has appeared meanwhile and `overwrite` is off; [`Error::Write`]; [`Error::Abandoned`].
+/// [`Error::OutputExists`] where a target has appeared meanwhile and `overwrite` is off; [`Error::Write`];
+/// [`Error::Abandoned`].
 pub fn rename_all(mut files: Vec<CompleteFile>, overwrite: bool) -> Result<()> {
     let Some(first) = files.first() else { return Ok(()) };
     let (target, registry) = (first.target.clone(), first.file.registry());
@@ -190,10 +193,10 @@ fn rename_files(state: &mut State, files: &mut [CompleteFile], overwrite: bool) 
     files.iter_mut().try_for_each(|file| renamed.rename(state, file, overwrite)).inspect_err(|_| renamed.remove_new())
 }
 
-/// Files that are renamed.
+/// Files that have been renamed.
 #[derive(Default)]
 struct Renamed<'a> {
-    /// Those whose targets did not exist.
+    /// Targets that did not exist before.
     new: Vec<&'a Path>,
     all: HashMap<Identity, &'a Path>,
 }
@@ -213,7 +216,7 @@ impl<'a> Renamed<'a> {
         match file.rename_new(state, target) {
             Ok(()) => self.new.push(target),
             Err(error) if overwrite && error.kind() == io::ErrorKind::AlreadyExists => {
-                // As on a case-insensitive file system.
+                // Two targets may be the same file, as on a case-insensitive file system.
                 if let Some(other) = identity(target).and_then(|file| self.all.get(&file)) {
                     let reason = format!("{} is the same file there; choose another name", other.display());
                     return Err(write_error(target, io::Error::new(io::ErrorKind::InvalidInput, reason)));
@@ -226,7 +229,7 @@ impl<'a> Renamed<'a> {
         Ok(())
     }
 
-    /// Removes the files whose targets did not exist.
+    /// Removes the files whose targets did not exist before.
     fn remove_new(&self) {
         for path in &self.new {
             // The first failure is the one to report; a second while clearing up would only hide it.
@@ -289,7 +292,7 @@ mod tests {
         assert_eq!(fs::read_to_string(&a).unwrap(), "new");
     }
 
-    /// As two names of one file on a case-insensitive file system.
+    /// A symbolic link gives two names of one file, as on a case-insensitive file system.
     #[cfg(unix)]
     #[test]
     fn commit_two_targets_one_file_is_refused() {

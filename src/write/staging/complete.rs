@@ -1,7 +1,7 @@
 //! Renaming of complete files to their targets, with or without replacement.
 //!
-//! In: complete files, anonymous or with temporary names. Out: files at the paths of their targets. Cost: a few system calls for each file.
-//! Bytes are copied only where a file system supports anonymous files but cannot link them.
+//! In: complete files, anonymous or with temporary names. Out: files at the paths of their targets. Cost: a few system
+//! calls for each file. Bytes are copied only where a file system supports anonymous files but cannot link them.
 
 use super::anonymous;
 use super::temporary::{Registry, Staged, State, TemporaryName};
@@ -33,14 +33,14 @@ impl Staged {
         }
     }
 
-    /// Sets its permission bits to `mode` of those it has.
+    /// Sets the permission bits of the file to the result of `mode` for its current bits.
     #[cfg(unix)]
     fn set_mode(&self, mode: impl Fn(u32) -> u32) -> io::Result<()> {
         use std::os::unix::fs::PermissionsExt;
         let file = self.open()?;
         let own = file.metadata()?.permissions().mode() & 0o777;
         let wanted = mode(own);
-        // File systems without permissions refuse even to set those that are there.
+        // File systems without permissions refuse to set even the bits that are already set.
         if wanted == own { Ok(()) } else { file.set_permissions(fs::Permissions::from_mode(wanted)) }
     }
 
@@ -59,7 +59,8 @@ impl Staged {
         Ok(())
     }
 
-    /// Gives it a temporary name and the permissions of the file `target`: everything that may fail before [`rename_over`](Self::rename_over).
+    /// Gives the file a temporary name and the permissions of the file `target`. These steps may fail, so they are done
+    /// before any [`rename_over`](Self::rename_over).
     ///
     /// # Errors
     /// The error of the system.
@@ -74,7 +75,7 @@ impl Staged {
         Ok(())
     }
 
-    /// Renames it to `target`, replacing the file there.
+    /// Renames the file to `target`, replacing the file there.
     ///
     /// # Errors
     /// The error of the system.
@@ -83,7 +84,7 @@ impl Staged {
         fs::rename(self.temporary(state)?, target)
     }
 
-    /// Renames it to `target`, which must not exist.
+    /// Renames the file to `target`, which must not exist.
     ///
     /// # Errors
     /// [`ErrorKind::AlreadyExists`], and other errors of the system.
@@ -97,7 +98,7 @@ impl Staged {
         rename_new(self.temporary(state)?, target)
     }
 
-    /// Its temporary name.
+    /// Returns the temporary name of the file; an anonymous file gets one.
     fn temporary(&mut self, state: &mut State) -> io::Result<&Path> {
         match self {
             Staged::Named(name) | Staged::Anonymous(_, Some(name)) => Ok(&name.path),
@@ -112,7 +113,7 @@ impl Staged {
 /// Renames the file `from` to `to`, which must not exist.
 fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
     let Err(failed) = TempPath::try_from_path(from)?.persist_noclobber(to) else { return Ok(()) };
-    // The owner of the temporary name removes it.
+    // The owner of the temporary name removes the file.
     let _: Result<PathBuf, _> = failed.path.keep();
     match failed.error.kind() {
         ErrorKind::AlreadyExists => Err(failed.error),
@@ -120,8 +121,8 @@ fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
     }
 }
 
-/// The same for file systems with neither rename-without-replacement nor hard links (some FUSE file systems): creates an empty file at `to` and
-/// replaces it, so that no other process can create `to` in between.
+/// Same as [`rename_new`], for file systems with neither rename-without-replacement nor hard links (some FUSE file
+/// systems): creates an empty file at `to` and replaces it, so that no other process can create `to` in between.
 fn replace_reservation(from: &Path, to: &Path) -> io::Result<()> {
     OpenOptions::new().write(true).create_new(true).open(to)?;
     fs::rename(from, to).inspect_err(|_| {
@@ -149,7 +150,7 @@ mod tests {
         assert_eq!((read("new"), read("taken"), at("from").exists()), ("bytes".into(), "old".into(), false));
     }
 
-    /// As from a folder that is gone.
+    /// The folder of the target does not exist, or the target exists.
     #[test]
     fn rename_new_failure_keeps_the_temporary_file() {
         let dir = tempfile::tempdir().unwrap();

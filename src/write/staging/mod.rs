@@ -1,7 +1,8 @@
 //! Staging: files get their names when all files of a run are complete.
 //!
-//! In: the paths of outputs, and bytes. Out: files under those paths, or none at all. [`check_targets`] runs before any work is done. A
-//! [`Pending`] is a temporary file in the folder of its target; [`commit()`] renames all files of a run. Cost: one fsync for each file.
+//! In: the paths of outputs, and bytes. Out: files under those paths, or none at all. [`check_targets`] runs before any
+//! work is done. A [`Pending`] is a temporary file in the folder of its target; [`commit()`] renames all files of a
+//! run. Cost: one fsync for each file.
 //!
 //! Each file uses only those before it: `anonymous`, `claim`, `temporary`, `complete`, `targets`, `commit`.
 
@@ -20,7 +21,7 @@ pub use commit::{CompleteFile, Pending, commit, rename_all};
 pub use targets::{Target, check_targets};
 pub use temporary::{NewFolder, abandon};
 
-/// A file after its last byte that waits for [`commit()`].
+/// A file to which the last byte has been written, and which waits for [`commit()`].
 #[derive(Debug)]
 pub struct Written {
     /// The file.
@@ -30,7 +31,7 @@ pub struct Written {
 }
 
 impl Written {
-    /// A file after its last byte; syncing starts at once, while other work goes on.
+    /// Starts to sync `file`, to which the last byte has been written, while other work goes on.
     pub(crate) fn ended(mut file: Pending, warnings: Vec<Warning>) -> Result<Self> {
         file.sync_ahead()?;
         Ok(Written { file, warnings })
@@ -65,7 +66,8 @@ pub fn complete(path: &Path, bytes: &[u8]) -> Result<CompleteFile> {
     file.complete()
 }
 
-/// The warning that `count` values of `file` were beyond what `format` holds, if any were.
+/// Returns a warning that `count` values of `file` were out of range, or none if `count` is 0; `what` says which values
+/// and what was done.
 pub(crate) fn clamped(file: &Pending, count: u64, what: &str) -> Vec<Warning> {
     let warning = Warning::OutOfRange { path: file.target().to_owned(), detail: format!("{count} values {what}") };
     if count > 0 { vec![warning] } else { Vec::new() }

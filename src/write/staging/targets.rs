@@ -48,12 +48,12 @@ impl Target {
     }
 }
 
-/// Checks that all `targets` can be written: folders that exist, no file twice, none of the `inputs`, and nothing there already unless
-/// `overwrite`.
+/// Checks that all `targets` can be written: their folders exist, no file is named twice or is one of the `inputs`, and
+/// no file exists already unless `overwrite`.
 ///
 /// # Errors
-/// [`Error::Option`] for a file that is named twice or is an input, [`Error::Write`] for a folder that is missing or a target that is
-/// one, [`Error::OutputExists`].
+/// [`Error::Option`] for a file that is named twice or is an input, [`Error::Write`] for a folder that is missing or a
+/// target that is a folder, [`Error::OutputExists`].
 pub fn check_targets(targets: &[Target], inputs: &[PathBuf], overwrite: bool) -> Result<()> {
     let sources: HashSet<Identity> = inputs.iter().filter_map(|path| identity(path)).collect();
     let mut named: HashMap<(Identity, OsString), &Target> = HashMap::new();
@@ -76,7 +76,7 @@ pub fn check_targets(targets: &[Target], inputs: &[PathBuf], overwrite: bool) ->
     Ok(())
 }
 
-/// Returns the folder of `target`, which must exist.
+/// Returns the identity of the folder of `target`; it is an error if the folder does not exist.
 fn folder(target: &Target) -> Result<Identity> {
     let folder = folder_of(&target.path);
     let remedy = match fs::metadata(folder) {
@@ -134,7 +134,7 @@ mod tests {
         assert_eq!(check(&["old.exr"], true), Ok(()));
     }
 
-    /// The same as two names of one file on a file system that ignores case.
+    /// A hard link gives two names of one file, as on a file system that ignores case.
     #[cfg(unix)]
     #[test]
     fn input_under_another_name_is_refused_by_the_option_that_names_it() {

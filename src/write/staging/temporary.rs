@@ -1,9 +1,9 @@
 //! Temporary files, and the registry that removes them when a run ends early.
 //!
-//! In: the target of a file. Out: a [`TemporaryFile`] in the target's folder, which becomes a [`Staged`] file when it is complete. It is an
-//! [anonymous] file where the system supports them, otherwise a file with a temporary name that a [claim](super::claim) protects.
-//! [`abandon`] removes all temporary files of the process. Cost: that of the files. At most [`most`](anonymous::most) complete files stay
-//! open.
+//! In: the target of a file. Out: a [`TemporaryFile`] in the target's folder, which becomes a [`Staged`] file when it
+//! is complete. It is an [anonymous] file where the system supports them, otherwise a file with a temporary name that a
+//! [claim](super::claim) protects. [`abandon`] removes all temporary files of the process. Cost: that of the files. At
+//! most [`most`](anonymous::most) complete files stay open.
 
 use super::anonymous;
 use super::claim::Claim;
@@ -21,9 +21,9 @@ pub(super) struct Registry(Mutex<State>);
 #[derive(Debug)]
 pub(super) struct State {
     is_abandoned: bool,
-    /// Temporary names by their folders; none is empty.
+    /// The claim on each folder with temporary names; every claim has at least one name.
     claims: BTreeMap<PathBuf, Claim>,
-    /// Folders that were created for them.
+    /// Folders that were created for output files.
     folders: BTreeSet<PathBuf>,
     /// Number of complete anonymous files, which stay open.
     open_anonymous: usize,
@@ -42,7 +42,7 @@ impl Registry {
         }))
     }
 
-    /// The state is consistent after every statement, so a panic in another thread does not matter.
+    /// Locks the state, also after a panic in another thread: the state is consistent after every statement.
     fn state(&self) -> MutexGuard<'_, State> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -58,8 +58,8 @@ impl Registry {
         }
     }
 
-    /// Runs `rename`, which renames files, under the lock of the registry: completely before it is abandoned, or not at all. `rename` must not
-    /// drop a file.
+    /// Runs `rename`, which renames files, under the lock of the registry: completely before the registry is abandoned,
+    /// or not at all. `rename` must not drop a temporary file, because that takes the same lock.
     ///
     /// # Errors
     /// [`Error::Abandoned`] with the path of `target`; those of `rename`.
@@ -103,14 +103,15 @@ impl State {
     }
 }
 
-/// Removes all temporary files of this process. From then on no file can be created or renamed. A set of files that is being renamed is
-/// renamed completely first. Any thread may call it at any time, as when the user interrupts the program. A signal handler must not call
-/// it, because it waits for a lock.
+/// Removes all temporary files of this process. From then on no file can be created or renamed. A set of files that is
+/// being renamed is renamed completely first. Any thread may call it at any time, as when the user interrupts the
+/// program. A signal handler must not call it, because it waits for a lock.
 pub fn abandon() {
     PROCESS_REGISTRY.abandon();
 }
 
-/// A folder for output files. When dropped, it is removed if it was created here and is empty; [`abandon`] does the same.
+/// A folder for output files. When dropped, it is removed if it was created here and is empty; [`abandon`] does the
+/// same.
 #[derive(Debug)]
 pub struct NewFolder(Option<PathBuf>);
 
@@ -200,7 +201,7 @@ impl TemporaryFile {
         &mut self.file
     }
 
-    /// The file as a complete one.
+    /// Turns the file into a complete one; an anonymous file gets a temporary name if too many are open.
     ///
     /// # Errors
     /// The error of the system where it needs a temporary name.
@@ -269,7 +270,7 @@ mod tests {
         fs::read_dir(folder).unwrap().count()
     }
 
-    /// Two temporary names, as where there are no anonymous files.
+    /// Creates two temporary names, as on a system without anonymous files.
     fn two(registry: &'static Registry, folder: &Path) -> [TemporaryName; 2] {
         [0, 1].map(|_| {
             let (path, _) = registry.state().temporary(folder, create_new).unwrap();
@@ -315,7 +316,7 @@ mod tests {
         };
         let held = keep();
         assert_eq!((count(dir.path()), registry.state().open_anonymous), (0, 1));
-        // As if so many more were open.
+        // As if as many more files were open as the limit allows.
         registry.state().open_anonymous += anonymous::most();
         let named = keep();
         assert_eq!((count(dir.path()), super::super::sweep(dir.path())), (2, 0));

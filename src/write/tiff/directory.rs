@@ -85,7 +85,7 @@ impl Directory {
         number(tag::F_NUMBER, metadata.f_number);
         number(tag::FOCAL_LENGTH, capture.focal_length_mm);
         match metadata.iso.map(f64::round) {
-            // Values that do not fit are 65535, by the standard.
+            // Sensitivities that do not fit 16 bits are 65535, by the standard.
             Some(iso) if iso >= 1.0 => exif.short(tag::ISO, &[iso.min(65535.0) as u16]),
             _ => {}
         }
@@ -162,7 +162,7 @@ impl Directory {
         self.put(tag, UNDEFINED, bytes.len() as u64, bytes.to_vec());
     }
 
-    /// An offset or count: 4 bytes, or 8 in BigTIFF.
+    /// Returns the bytes of an offset or a count: 4 bytes, or 8 in BigTIFF.
     fn word(&self, value: u64) -> Vec<u8> {
         if self.big {
             value.to_le_bytes().to_vec()
@@ -182,7 +182,7 @@ impl Directory {
     /// other directories.
     pub(crate) fn bytes(&mut self, place: u64) -> Vec<u8> {
         let others = std::mem::take(&mut self.others);
-        // Their offsets do not change the length.
+        // The values of the offsets do not change the length, so 0 stands for them here.
         others.keys().for_each(|&pointer| self.long(pointer, &[0]));
         let length = self.own_bytes(place).len().next_multiple_of(8);
         let mut behind = Vec::new();

@@ -2,9 +2,9 @@
 //!
 //! In: linear RGB by rows. Out: a TIFF with compression 34677 (24 bits, uncompressed) or 34676 (32 bits, run-length
 //! encoded) and photometric interpretation 32845, in strips of 64 rows, as read by libtiff, ImageMagick and OpenCV.
-//! Grey is written as X = Y = Z and its white as WhitePoint, as `tif_luv.c` requires. StoNits is the factor for the
-//! stored luminance. Cost: 80 ns per pixel and core; 3 bytes, or about 3 with runs. Source: see
-//! [`crate::pixel::logluv`].
+//! Grey is written as X = Y = Z, and the white of the primaries as WhitePoint, as `tif_luv.c` requires. StoNits is the
+//! factor for the stored luminance. Cost: 80 ns per pixel and core; files have 3 bytes per pixel, or about 3 with
+//! run-length encoding. Source: see [`crate::pixel::logluv`].
 
 use super::directory::tag;
 use super::strips::Strips;
@@ -25,9 +25,9 @@ pub(crate) fn bright(map: &RadianceMap) -> f32 {
     Statistics::measured(&map.pixels, weights(&map.primaries), Unit::Relative).p99_9
 }
 
-/// Returns the factor for the values of a map in LogLuv: a power of two of at most 1, so that all but the brightest
-/// 0.1 % of pixels, those above the luminance `bright`, are in range. StoNits compensates for it; for relative
-/// radiance, which has an arbitrary factor, the description contains it.
+/// Returns the factor for the values of a map in LogLuv: a power of two of at most 1, so that all but the brightest 0.1
+/// % of pixels, those above the luminance `bright`, are in range. For calibrated radiance, the tag StoNits undoes this
+/// factor. For relative radiance there is no StoNits, and the image description records the factor.
 pub(crate) fn scale_under(depth: Depth, bright: f32) -> f32 {
     let mut scale = 1.0;
     while bright * scale >= depth.range().1 {
@@ -48,7 +48,7 @@ pub struct Writer {
 }
 
 impl Writer {
-    /// Starts a picture of `size` pixels, which are multiplied by `scale`.
+    /// Starts a picture of `size` pixels, whose values are multiplied by `scale`.
     ///
     /// # Errors
     /// [`Error::Write`](crate::error::Error::Write).
@@ -102,7 +102,7 @@ impl RowWriter<[f32; 3]> for Writer {
         self.bands.complete().map_err(|e| self.strips.file.error(e))?;
         let (low, high) = self.depth.range();
         let what = format!(
-            "of luminance are outside of {:.2e} to {:.3e} and were limited to 0 or the largest; logluv32 and float have a larger range",
+            "of luminance are outside of {:.2e} to {:.3e} and were limited to 0 or the largest value; logluv32 and float have a larger range",
             low / self.scale,
             high / self.scale
         );
@@ -178,8 +178,8 @@ mod tests {
         RadianceMap { pixels, primaries: Primaries::SRGB }
     }
 
-    /// Half a step of luminance is 0.55 % or 0.14 %; of chromaticity 0.00175 or 0.00122 in u' and v', which for red
-    /// or blue of these colours is up to 5 % of the largest component.
+    /// Half a step of luminance is 0.55 % with 24 bits and 0.14 % with 32 bits; of chromaticity it is 0.00175 and
+    /// 0.00122 in u' and v', which for red or blue of these colours is up to 5 % of the largest component.
     #[test]
     fn pixels_are_read_back_within_the_steps() {
         for (depth, tolerance) in [(Depth::Bits24, 0.0056), (Depth::Bits32, 0.0014)] {

@@ -1,12 +1,15 @@
-//! TIFF: RGB of 8 or 16 bits (pictures, aligned frames) or 32-bit floats (radiance), by strips of 64 rows, deflated without loss.
+//! TIFF: RGB of 8 or 16 bits (pictures, aligned frames) or 32-bit floats (radiance), by strips of 64 rows, deflated
+//! without loss.
 //!
-//! In: pixels by rows. Out: a little-endian TIFF, or BigTIFF where 4 GB would not do; the directory comes last. Radiance has its
-//! primaries in the tags of TIFF 6.0, section 20, or where these are negative in an ICC profile, and where it is calibrated the luminance of 1 in StoNits. Cost: about 12 ns a
-//! byte and core. Source: TIFF 6.0, sections 2 (structure), 14 (differencing), 19 (sample format); Adobe Photoshop TIFF Technical Notes
-//! (deflate, compression 8) and Technical Note 3 (floating-point predictor); BigTIFF (Aware Systems); ICC.1:2010, B.4 (tag 34675).
+//! In: pixels by rows. Out: a little-endian TIFF, or BigTIFF if the file might exceed 4 GB; the directory comes last.
+//! The primaries of radiance are in the tags of TIFF 6.0, section 20, or, if a coordinate is negative, in an ICC
+//! profile. If radiance is calibrated, the luminance of 1 is in StoNits. Cost: about 12 ns per byte and core. Source:
+//! TIFF 6.0, sections 2 (structure), 14 (differencing), 19 (sample format); Adobe Photoshop TIFF Technical Notes
+//! (deflate, compression 8) and Technical Note 3 (floating-point predictor); BigTIFF (Aware Systems); ICC.1:2010, B.4
+//! (tag 34675).
 //!
-//! The `tiff` crate's encoder writes the byte order of the machine and compresses strip after strip on one thread, so the little that is
-//! needed of the structure is here; the tests read it back by that crate's decoder.
+//! The `tiff` crate's encoder writes the byte order of the machine and compresses strip after strip on one thread, so
+//! this module writes the structure of the file itself; the tests read it with the decoder of that crate.
 
 mod directory;
 pub(crate) mod logluv;
@@ -29,16 +32,16 @@ pub enum Encoding {
     /// 32-bit floats: exactly as merged.
     #[default]
     Float,
-    /// LogLuv of 24 bits: 16 stops in steps of 1.1 %.
+    /// LogLuv, 24 bits: 16 stops in steps of 1.1 %. Smaller files, read by fewer programs.
     #[strum(serialize = "logluv24")]
     LogLuv24,
-    /// LogLuv of 32 bits: 126 stops in steps of 0.27 %.
+    /// LogLuv, 32 bits: 128 stops in steps of 0.27 %. Smaller files, read by fewer programs.
     #[strum(serialize = "logluv32")]
     LogLuv32,
 }
 
 impl Encoding {
-    /// Returns the bits of LogLuv; `None` for floats.
+    /// Returns the bits per pixel of LogLuv; `None` for floats.
     pub(crate) fn depth(self) -> Option<Depth> {
         match self {
             Encoding::Float => None,

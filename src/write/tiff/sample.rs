@@ -9,10 +9,11 @@ pub trait Sample: Copy + Send + Sync + 'static {
     const BITS: u16;
     /// The TIFF sample format: 1 for unsigned integers, 3 for floats.
     const FORMAT: u16;
-    /// The TIFF predictor: 2 for differences, 3 for those of floats.
+    /// The TIFF predictor: 2 for integer differences, 3 for the floating-point predictor.
     const PREDICTOR: u16;
 
-    /// Appends `row`, predicted from the pixel on the left: little-endian, or by bytes for floats.
+    /// Appends the bytes of `row` as differences from the pixel on the left: little-endian for integers, byte by byte
+    /// for floats.
     fn put_predicted(row: &[[Self; 3]], out: &mut Vec<u8>);
 }
 
@@ -51,7 +52,8 @@ impl Sample for f32 {
     const FORMAT: u16 = 3;
     const PREDICTOR: u16 = 3;
 
-    /// All first bytes of the row, then all second ones, from the sign down; then their differences, three apart.
+    /// Appends the highest bytes of all samples of the row, then all second, third and fourth bytes. Each byte is
+    /// stored as its difference from the byte three places before.
     fn put_predicted(row: &[[f32; 3]], out: &mut Vec<u8>) {
         let samples = row.as_flattened();
         let start = out.len();

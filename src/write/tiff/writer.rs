@@ -32,8 +32,8 @@ impl<T: Sample> Writer<T> {
         Self::begin(file, size, metadata, |directory| directory.capture(metadata))
     }
 
-    /// Starts a display picture, with all EXIF fields of the photograph, and the resolution. Without a profile it is
-    /// sRGB and has that profile, because TIFF has no other way to state it.
+    /// Starts a display picture, with all EXIF fields of the photograph, and the resolution. Without a profile the
+    /// picture is sRGB, and the sRGB profile is written, because TIFF has no other way to mark sRGB.
     ///
     /// # Errors
     /// [`Error::Write`](crate::error::Error::Write).
@@ -62,7 +62,7 @@ impl<T: Sample> Writer<T> {
             if metadata.primaries.are_positive() {
                 directory.primaries(&metadata.primaries);
             } else {
-                // The tag does not support negative chromaticities, such as those of ACES2065-1; a profile does.
+                // The tags do not support negative chromaticities, such as those of ACES2065-1; a profile does.
                 let profile =
                     Profile::of(&metadata.primaries, Curve::Power(1.0), "linear RGB of the file's own primaries");
                 let unknown = || io::Error::other("its primaries lie on a line, so they define no colour space");
@@ -138,7 +138,7 @@ mod tests {
         let pending = Pending::create(&path).unwrap();
         let mut writer = Writer::<T>::new(pending, size, metadata).unwrap();
         if big {
-            // As if it were very large: starts over with the other kind of header.
+            // As if the file were very large: starts again with the header of a BigTIFF.
             let strips = &mut writer.strips;
             strips.file.seek(SeekFrom::Start(0)).unwrap();
             strips.directory = Directory::new(true);

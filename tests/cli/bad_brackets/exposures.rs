@@ -6,17 +6,17 @@ fn relative(merged: &Merged, file: &str) -> f64 {
     merged.frame(file)["relative_exposure"].as_f64().expect("a number")
 }
 
-/// Stops from `a` to `b`.
+/// Returns the difference of the exposures of `a` and `b` in stops, positive if that of `b` is longer.
 fn stops(merged: &Merged, a: &str, b: &str) -> f64 {
     libm::log2(relative(merged, b) / relative(merged, a))
 }
 
-/// The sources of the exposures of `files`.
+/// Returns the sources of the exposures of `files`.
 fn sources<'a>(merged: &'a Merged, files: &[&str]) -> Vec<&'a str> {
     files.iter().map(|file| merged.frame(file)["exposure_source"].as_str().expect("a text")).collect()
 }
 
-/// The frames 2, 3 and 4, two stops apart, with the EXIF of the frames `exif`.
+/// Writes frames 2, 3 and 4, which are two stops apart, with the EXIF of the frames `exif`; returns the names.
 fn window(folder: &Folder, exif: [usize; 3]) -> String {
     exposed(folder, &[(&frame(2), exif[0]), (&frame(3), exif[1]), (&frame(4), exif[2])])
 }
@@ -30,14 +30,14 @@ fn exif_that_is_reversed_or_equal_is_not_used() {
         assert!(merged.warns(true, &["contradict the pixels", "estimated", "-e"]), "{:?}", merged.warnings());
         for (a, b) in [("f1.jpg", "f2.jpg"), ("f2.jpg", "f3.jpg")] {
             let seen = stops(&merged, a, b);
-            // The estimate is accurate to some tenths of a stop.
+            // The estimated exposures are accurate to some tenths of a stop.
             assert!((seen - 2.0).abs() < 0.4, "{a} {b}: {seen}");
         }
         assert_eq!(strict(&folder, &names), 3);
     }
 }
 
-/// A time of 0, of infinity, or none, in one frame of three.
+/// One frame of three has an exposure time of 0, an infinite or undefined one, or none.
 #[test]
 fn exif_that_is_missing_or_impossible_in_one_frame_is_estimated() {
     for odd in [timed(&frame(4), 0, 1), timed(&frame(4), 1, 0), timed(&frame(4), 0, 0), jpeg(&frame(4), None)] {
@@ -73,7 +73,7 @@ fn exif_wrong_by_a_stop_is_partly_corrected_with_a_warning() {
         folder.put(&format!("f{}.jpg", i + 1), &timed(&frame(i + 2), 1, denom));
     }
     let merged = merged(&folder, "f1.jpg f2.jpg f3.jpg");
-    assert!(merged.warns(true, &["by its pixels, the exposure is off by", "give -e"]), "{:?}", merged.warnings());
+    assert!(merged.warns(true, &["by the pixels, the exposure is wrong by", "give -e"]), "{:?}", merged.warnings());
     assert_eq!(merged.frame("f3.jpg")["exposure_source"], "exif");
 }
 
@@ -97,8 +97,8 @@ fn exposures_of_the_user_are_used_with_a_warning() {
     }
 }
 
-/// A copy under another name, with the same exposure: the same radiance, no more accurate than one of them, and a
-/// warning.
+/// A copy of a frame under another name, with the same exposure: the radiance is that of the single frame, no more
+/// accurate, and there is a warning.
 #[test]
 fn copy_of_a_frame_is_merged_with_a_warning() {
     let folder = Folder::empty();
@@ -122,13 +122,17 @@ fn a_copy_with_another_exposure_is_one_exposure() {
     let honest = merged(&one, &exposed(&one, &[(&frame(3), 3), (&frame(3), 3)]));
     let names = exposed(&two, &[(&frame(3), 2), (&frame(3), 3)]);
     let lying = merged(&two, &names);
-    assert!(lying.warns(true, &["f2.jpg has the same pixels as f1.jpg", "2.0 EV apart"]), "{:?}", lying.warnings());
+    assert!(
+        lying.warns(true, &["f2.jpg has the same pixels as f1.jpg", "differs by 2.0 EV"]),
+        "{:?}",
+        lying.warnings()
+    );
     assert_eq!(stops(&lying, "f1.jpg", "f2.jpg"), 0.0);
     assert_eq!(lying.radiance, honest.radiance);
     assert_eq!(strict(&two, &names), 3);
 }
 
-/// Such a copy among other frames does not affect their exposures.
+/// A copy of a frame with another exposure does not affect the exposures of other frames.
 #[test]
 fn a_copy_among_others_has_the_exposure_of_its_pixels() {
     let folder = Folder::empty();
@@ -140,13 +144,18 @@ fn a_copy_among_others_has_the_exposure_of_its_pixels() {
     assert!((stops(&merged, "f1.jpg", "f2.jpg") - 2.0).abs() < 0.6, "{}", stops(&merged, "f1.jpg", "f2.jpg"));
 }
 
-/// A frame of another scene that is too dark for its exposure: the two that agree are used, and merged as without it.
+/// The bracket has a frame of another scene that is too dark for its exposure: the exposures of the other two, which
+/// agree with the pixels, are used.
 #[test]
 fn one_frame_that_is_at_odds_does_not_affect_the_others() {
     let folder = Folder::empty();
     let names = exposed(&folder, &[(&frame(2), 2), (&frame(3), 3), (&elsewhere(1), 5)]);
     let merged = merged(&folder, &names);
-    assert!(merged.warns(true, &["contradict the pixels", "that of f3.jpg is ignored"]), "{:?}", merged.warnings());
+    assert!(
+        merged.warns(true, &["contradict the pixels", "the exposure of f3.jpg is ignored"]),
+        "{:?}",
+        merged.warnings()
+    );
     assert_eq!(sources(&merged, &["f1.jpg", "f2.jpg", "f3.jpg"]), ["exif", "exif", "estimated"]);
     assert!((stops(&merged, "f1.jpg", "f2.jpg") - 2.0).abs() < 1e-6, "{}", stops(&merged, "f1.jpg", "f2.jpg"));
     assert_eq!(merged.status("f3.jpg"), "rejected");
@@ -173,7 +182,7 @@ fn all_but_one_clipped_or_black_is_refused() {
         let names = exposed(&folder, &pictures);
         let reference = format!("f{}.jpg", 1 + pictures.iter().position(|p| p.1 == 3).expect("the middle"));
         refused(&folder, &names, &[&format!("{reference}: no other frame could be aligned"), "--align none"]);
-        // From a tripod they are merged: black, and clipped.
+        // With --align none they are merged, although black and clipped.
         let lain = merged(&folder, &format!("{names} --align none"));
         assert_eq!(lain.report["crop"]["width_px"], 300);
     }
@@ -193,13 +202,13 @@ fn a_blank_frame_beside_good_ones_is_left_out() {
     }
 }
 
-/// The lamp is 2000 times as bright as white in the middle frame: only a frame that is black except for the lamp
-/// shows its brightness.
+/// The lamp is 1000 times as bright as white in the frame of 1 s: only the frame of 1/2000 s, which is black except for
+/// the lamp, shows its brightness.
 #[test]
 fn a_black_frame_of_a_still_camera_is_assumed_and_has_the_lamp() {
     let picture = frame(4);
     let is_lamp = |x: u32, y: u32| x.abs_diff(90) < 8 && y.abs_diff(60) < 8;
-    // The codes of the picture are a room with radiance 0 to 1.
+    // The picture shows a room with radiance from 0 to 1.
     let code = |radiance: f64| (255.0 * radiance.min(1.0).powf(1.0 / 2.2) + 0.5) as u8;
     let taken = |time: f64| {
         RgbImage::from_fn(300, 200, |x, y| {
@@ -214,17 +223,17 @@ fn a_black_frame_of_a_still_camera_is_assumed_and_has_the_lamp() {
     }
     let names = "f0.jpg f1.jpg f2.jpg f3.jpg";
     let found = merged(&folder, &format!("{names} --response-model srgb --strict"));
-    // Aligned by its own tile, or assumed from the others.
+    // The frame is aligned by the tile of the lamp, or assumed from the other frames.
     let status = found.status("f0.jpg");
     assert!(["assumed", "unmoved"].contains(&status), "{status}");
-    // The shortest frame of the room clips at 4.
+    // Without f0.jpg, the shortest frame (1/4 s) clips at radiance 4, which is 1/250 of that of the lamp.
     let brightest = |merged: &Merged| merged.radiance.iter().map(|p| p[1]).fold(0.0, f32::max);
     let without = merged(&folder, &format!("{names} --response-model srgb --leave-out f0.jpg"));
     let factor = brightest(&found) / brightest(&without);
     assert!((factor / 250.0 - 1.0).abs() < 0.3, "{factor}");
 }
 
-/// `picture` with the light of the camera's flash on near objects.
+/// Returns `picture` with the light of a flash on near objects.
 fn lit(mut picture: RgbImage) -> RgbImage {
     for (x, y, pixel) in picture.enumerate_pixels_mut() {
         let near = libm::exp(-((f64::from(x) - 150.0).powi(2) + (f64::from(y) - 100.0).powi(2)) / 8000.0);
@@ -233,7 +242,7 @@ fn lit(mut picture: RgbImage) -> RgbImage {
     picture
 }
 
-/// Three frames, and one with flash at the settings of the first.
+/// Writes three frames, and one with flash and the exposure of the first; returns the names.
 fn with_flash(folder: &Folder) -> &'static str {
     for (i, denom) in [128, 32, 8].into_iter().enumerate() {
         folder.put(&format!("f{}.jpg", i + 1), &timed(&frame(i + 2), 1, denom));
@@ -281,7 +290,7 @@ fn flash_frame_is_merged_where_the_user_insists_or_too_few_are_left() {
 
 #[test]
 fn exif_one_frame_wrong_only_that_frame_is_estimated() {
-    // In each of four frames the time is wrong: far too long, or far too short.
+    // For each of four frames: its exposure time is far too long, or far too short.
     let times = [(1, 512), (1, 128), (1, 32), (1, 8)];
     for odd in 0..4 {
         for factor in [(4000, 1), (1, 4000)] {
@@ -291,7 +300,7 @@ fn exif_one_frame_wrong_only_that_frame_is_estimated() {
                 folder.put(&format!("f{}.jpg", i + 1), &timed(&frame(i + 1), num * by.0, denom * by.1));
             }
             let merged = merged(&folder, "f1.jpg f2.jpg f3.jpg f4.jpg");
-            let wrong = format!("that of f{}.jpg is ignored", odd + 1);
+            let wrong = format!("the exposure of f{}.jpg is ignored", odd + 1);
             assert!(merged.warns(true, &["contradict the pixels", &wrong]), "{:?}", merged.warnings());
             let files = ["f1.jpg", "f2.jpg", "f3.jpg", "f4.jpg"];
             let expected: Vec<&str> = (0..4).map(|i| if i == odd { "estimated" } else { "exif" }).collect();

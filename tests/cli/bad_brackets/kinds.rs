@@ -7,7 +7,7 @@ use image::codecs::png::PngEncoder;
 use image::{DynamicImage, ExtendedColorType, ImageBuffer, ImageEncoder, ImageFormat};
 use img_parts::ImageICC;
 
-/// The frames 2 and 3 as JPEGs, and `third` under its own name.
+/// Writes frames 2 and 3 as JPEGs, and `third` as `name`; returns the names.
 fn with_third(third: &[u8], name: &str) -> (Folder, String) {
     let folder = Folder::empty();
     folder.put("f1.jpg", small_jpeg(2));
@@ -16,7 +16,7 @@ fn with_third(third: &[u8], name: &str) -> (Folder, String) {
     (folder, format!("f1.jpg f2.jpg {name}"))
 }
 
-/// Merges with the third, which must be aligned like frame 4.
+/// Merges frames 2 and 3 with `third`, which must be aligned like frame 4.
 fn taken(third: Vec<u8>, name: &str, options: &str) -> Merged {
     let (folder, names) = with_third(&third, name);
     let merged = merged(&folder, &format!("{names} {options} --reference f2.jpg"));
@@ -73,7 +73,7 @@ fn frame_of_16_bits_is_merged_with_frames_of_8() {
     );
 }
 
-/// There is no background, so alpha is ignored and the colour of transparent pixels is used.
+/// A photograph has no background, so alpha is ignored and the colour of transparent pixels is used.
 #[test]
 fn transparency_is_ignored() {
     let mut holed = colour(4).to_rgba8();
@@ -86,7 +86,7 @@ fn transparency_is_ignored() {
     assert_eq!(holed.radiance, opaque.radiance);
 }
 
-/// Encodes PNG with the `png` crate, for kinds that `image` does not write.
+/// Encodes a PNG with the `png` crate, for kinds of PNG that `image` does not write.
 fn packed(
     kind: png::ColorType,
     depth: png::BitDepth,
@@ -106,7 +106,7 @@ fn packed(
 
 #[test]
 fn a_palette_is_looked_up() {
-    // Six levels of each channel: coarse, but enough for alignment.
+    // The palette has six values of each channel, which is coarse, but enough for alignment.
     let palette: Vec<u8> = (0..216u32).flat_map(|i| [i / 36, i / 6 % 6, i % 6].map(|v| (51 * v) as u8)).collect();
     let level = |v: u8| (u32::from(v) + 25) / 51;
     let rows: Vec<u8> =
@@ -115,8 +115,8 @@ fn a_palette_is_looked_up() {
     taken(file, "f3.png", "-e=-2,0,2");
 }
 
-/// Two tones determine neither exposure nor alignment; the frame is aligned or rejected, and the others are not
-/// affected.
+/// Two tones may determine neither the exposure nor the alignment: the frame is aligned or rejected, and the other
+/// frames are not affected.
 #[test]
 fn frame_with_one_bit_per_pixel_does_not_affect_the_others() {
     let grey = colour(4).to_luma8();
@@ -134,7 +134,7 @@ fn frame_with_one_bit_per_pixel_does_not_affect_the_others() {
     }
 }
 
-/// CMYK as Adobe writes it, inverted, without a profile: light is what the inks do not absorb.
+/// CMYK without a profile, inverted as Adobe writes it: the colour is the light that the inks do not absorb.
 #[test]
 fn a_cmyk_jpeg_is_taken_to_rgb() {
     let inks: Vec<u8> = frame(4).pixels().flat_map(|p| [255 - p.0[0], 255 - p.0[1], 255 - p.0[2], 0]).collect();
@@ -162,7 +162,7 @@ fn different_profile_is_a_warning_and_damaged_one_is_ignored() {
     assert!(merged.warns(false, &["f3.jpg: its colour profile is damaged and was ignored"]), "{:?}", merged.warnings());
 }
 
-/// Rotated pixels with the EXIF orientation for it are upright; unrotated pixels with the same EXIF are not.
+/// Rotated pixels with the matching EXIF orientation are aligned; unrotated pixels with the same EXIF are not.
 #[test]
 fn the_exif_orientation_counts() {
     let oriented = |picture: &RgbImage, orientation: u8| {
@@ -189,8 +189,8 @@ fn the_exif_orientation_counts() {
 
 #[test]
 fn an_interlaced_png_is_read() {
-    // Adam7, written by hand: seven smaller pictures one after the other, which the `png` crate reads but does not
-    // write.
+    // The Adam7 file is written here (seven smaller pictures one after the other), because the `png` crate reads it but
+    // does not write it.
     let picture = frame(4);
     let passes = [(0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2)];
     let mut rows = Vec::new();
@@ -234,7 +234,7 @@ fn files_that_are_not_pictures_are_named() {
     }
 }
 
-/// Thumbnails, films and notes after the picture have no effect.
+/// Data after the picture, such as thumbnails, videos and notes, have no effect.
 #[test]
 fn data_after_the_picture_are_ignored() {
     let file = [small_jpeg(4), &b"and a film".repeat(1000)[..]].concat();

@@ -1,21 +1,21 @@
-//! A batch with bad brackets among good ones: each is reported, and none stops the others.
+//! A batch with bad brackets among good ones: each bad one is reported, and none stops the others.
 
 use super::*;
 use image::imageops;
 use std::fs;
 
-/// The outcome for a folder.
+/// The expected outcome for a folder.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Outcome {
     Done,
     Doubtful,
     Failed,
-    /// It does not contain two photographs that belong together.
+    /// The folder does not contain two photographs that belong together.
     LeftOver,
 }
 use Outcome::{Done, Doubtful, Failed, LeftOver};
 
-/// Frames 2 to 4 have exposures of 1/128, 1/32 and 1/8 s.
+/// Returns `picture` as a JPEG with the exposure time of frame `i`, 2 to 4: 1/128, 1/32 or 1/8 s.
 fn dated(picture: &RgbImage, i: usize) -> Vec<u8> {
     timed(picture, 1, [128, 32, 8][i - 2])
 }
@@ -38,7 +38,7 @@ fn night() -> Vec<(&'static str, Outcome, Vec<Vec<u8>>)> {
     ]
 }
 
-/// The files in `folder` with `extension`.
+/// Returns the number of files with `extension` in the folder `name`.
 fn count(folder: &Folder, name: &str, extension: &str) -> usize {
     let Ok(entries) = fs::read_dir(folder.at(name)) else { return 0 };
     entries.filter(|e| e.as_ref().is_ok_and(|e| e.path().extension().is_some_and(|x| x == extension))).count()
@@ -78,7 +78,7 @@ fn batch_with_bad_brackets_merges_the_good_ones_and_reports_each() {
         assert_eq!(step["degraded"], *outcome == Doubtful, "{step}");
         assert!(line.contains(if is_done { ",done," } else { ",failed," }), "{line}");
         assert_eq!(files, if is_done { [1, 1] } else { [0, 0] }, "{name}");
-        // At the end each is listed with its reason.
+        // At the end, each failed or degraded bracket is listed with the reason.
         let reported = match outcome {
             Failed => step["error"]
                 .as_str()

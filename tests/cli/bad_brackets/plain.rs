@@ -2,7 +2,7 @@
 
 use super::*;
 
-/// Without detail the frames are merged without alignment, with a warning, and the picture has their colour.
+/// Merges three frames of one colour each, and checks that they are merged without alignment, with a warning.
 fn one_tone(colours: [[u8; 3]; 3]) -> Merged {
     let folder = Folder::empty();
     let frames = colours.map(flat);
@@ -38,15 +38,17 @@ fn an_all_white_bracket_is_white() {
 
 #[test]
 fn a_bracket_of_one_colour_has_that_colour() {
-    // A card at exposures two stops apart, with sRGB's curve. The picture has the colour of the reference.
+    // The frames show a colour card at exposures two stops apart, by the sRGB curve. The picture has the colour of the
+    // reference.
     let merged = one_tone([[53, 33, 14], [105, 69, 35], [199, 136, 76]]);
     let shown = merged.picture.get_pixel(0, 0).0;
-    // Exposures are not exactly two stops apart, and JPEG rounds: within 6 codes of the reference.
+    // JPEG rounds, and the frames are not exactly two stops apart, so the picture differs from the reference by up to 6
+    // code values.
     assert!((0..3).all(|c| shown[c].abs_diff([105, 69, 35][c]) <= 6), "{shown:?}");
 }
 
-/// The same pixels at three exposures are impossible: they count as one exposure, and the radiance is that of one
-/// frame.
+/// Equal pixels at three different exposures are impossible: the frames count as one exposure, and the radiance is that
+/// of one frame.
 #[test]
 fn one_colour_at_every_exposure_is_one_exposure() {
     let merged = one_tone([[128; 3]; 3]);
@@ -103,8 +105,8 @@ fn checkerboard(side: u32, most: u8) -> RgbImage {
     RgbImage::from_fn(120, 80, |x, y| Rgb([if (x / side + y / side).is_multiple_of(2) { most / 8 } else { most }; 3]))
 }
 
-/// Its position is known only up to its period, so any is accepted, and EXIF is used. Two codes per frame do not
-/// determine exposures.
+/// A checkerboard looks the same after a shift by its period, so the alignment is accepted without a shift. The two
+/// code values of each frame do not determine exposures, so EXIF is used.
 #[test]
 fn checkerboard_is_merged_without_a_shift() {
     let folder = Folder::empty();
@@ -117,7 +119,8 @@ fn checkerboard_is_merged_without_a_shift() {
     }
 }
 
-/// With squares of one pixel every second position is right, and no level below full size shows them.
+/// With squares of one pixel, every second position fits, and only the full size shows the squares, not the reduced
+/// pyramid levels.
 #[test]
 fn pixel_checkerboard_is_an_error_and_is_merged_without_alignment() {
     let folder = Folder::empty();

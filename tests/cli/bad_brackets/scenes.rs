@@ -3,8 +3,8 @@
 use super::*;
 use image::imageops::{self, FilterType};
 
-/// Two good frames and a wrong one: it is rejected, with low confidence and a reason, for any choice of the
-/// reference, and the others are aligned as without it.
+/// Merges two good frames and the wrong frame `stray`. Checks that `stray` is rejected, with low confidence and a
+/// reason, for any choice of the reference, and that the good frames are aligned as without it.
 fn stray_is_left_out(stray: &RgbImage, exif: usize) {
     let alone = {
         let folder = Folder::empty();
@@ -45,7 +45,7 @@ fn a_frame_of_another_zoom_is_left_out() {
     stray_is_left_out(&imageops::crop_imm(&large, 225, 150, 300, 200).to_image(), 4);
 }
 
-/// 15 % closer is possible by hand or with focus breathing: aligned.
+/// A camera held by hand, or focus breathing, can make a frame appear 15 % closer; it is aligned.
 #[test]
 fn a_frame_a_little_closer_is_aligned() {
     let folder = Folder::empty();
@@ -72,7 +72,7 @@ fn a_frame_turned_by_90_degrees_is_left_out_or_of_another_size() {
     refused(&folder, &names, &["f3.jpg", "200x300", "f1.jpg", "300x200", "the same size"]);
 }
 
-/// All frames show different scenes: nothing can be merged, with any reference.
+/// All frames show different scenes: whatever the reference is, nothing can be merged.
 #[test]
 fn frames_of_different_scenes_are_refused() {
     let folder = Folder::empty();
@@ -83,7 +83,8 @@ fn frames_of_different_scenes_are_refused() {
     refused(&folder, two, &["no other frame could be aligned"]);
 }
 
-/// Two of five frames show another scene, and one of them has the most usable pixels: the three are merged.
+/// Two of five frames show another scene, and one of these two has the most usable pixels of all: the other three are
+/// merged.
 #[test]
 fn the_scene_of_most_frames_is_merged() {
     let folder = Folder::empty();
@@ -105,7 +106,7 @@ fn the_users_reference_is_not_exchanged() {
     refused(&folder, &format!("{names} --reference f3.jpg"), &["f3.jpg: no other frame could be aligned to it"]);
 }
 
-/// The middle of the picture is different in each frame: the rest determines the motion.
+/// The middle of the picture is different in each frame: the rest of the picture determines the motion.
 #[test]
 fn different_centre_in_each_frame_does_not_affect_alignment() {
     let (good, bad) = (Folder::empty(), Folder::empty());
@@ -124,7 +125,7 @@ fn different_centre_in_each_frame_does_not_affect_alignment() {
         let merged = merged(&bad, &format!("{names} --reference f3.jpg {options}"));
         for file in ["f1.jpg", "f2.jpg"] {
             assert_eq!(merged.status(file), "aligned", "{file} {options}");
-            // The true motion is 3 to 5 pixels; half of the tiles show it.
+            // The true motion is 3 to 5 pixels; only half of the tiles show it.
             let off = apart(&merged, &truth, file);
             assert!(off < 1.0, "{file} {options}: {off}");
         }

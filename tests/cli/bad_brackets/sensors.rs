@@ -2,14 +2,15 @@
 
 use super::*;
 
-/// The bracket without defects, for comparison; the reference is the third.
+/// Merges the bracket without defects, for comparison; the reference is the third frame.
 fn truth() -> Merged {
     let folder = Folder::empty();
     let names = exposed(&folder, &[(&frame(2), 2), (&frame(3), 3), (&frame(4), 4)]);
     merged(&folder, &format!("{names} --reference f3.jpg"))
 }
 
-/// The same with `damaged` frames: all are aligned correctly, to within `most` pixels in every corner.
+/// Merges the frames after `damaged` changed them. Checks that all are aligned as without damage, to within `most`
+/// pixels in every corner.
 fn places_hold(damaged: impl Fn(&mut RgbImage, usize), most: f64, least_confidence: f64) -> Merged {
     let folder = Folder::empty();
     let frames: Vec<RgbImage> = (2..=4)
@@ -35,7 +36,7 @@ fn places_hold(damaged: impl Fn(&mut RgbImage, usize), most: f64, least_confiden
 fn dead_row_or_column_does_not_affect_alignment() {
     places_hold(|picture, _| (0..300).for_each(|x| picture.put_pixel(x, 90, Rgb([0; 3]))), 0.3, 0.8);
     places_hold(|picture, _| (0..200).for_each(|y| picture.put_pixel(120, y, Rgb([255; 3]))), 0.3, 0.8);
-    // In one frame of three.
+    // A dead row in only one frame of three.
     places_hold(
         |picture, i| {
             let is_dead = i == 3;
@@ -46,8 +47,8 @@ fn dead_row_or_column_does_not_affect_alignment() {
     );
 }
 
-/// Hot pixels stay at their position on the sensor while the camera moves by three to five pixels: alone they would
-/// give no motion.
+/// Hot pixels stay at their positions on the sensor while the camera moves by three to five pixels: an alignment to the
+/// hot pixels would find no motion.
 #[test]
 fn hot_pixels_do_not_affect_alignment() {
     let hot = |picture: &mut RgbImage, _| {
@@ -60,7 +61,7 @@ fn hot_pixels_do_not_affect_alignment() {
     let merged = places_hold(hot, 0.4, 0.8);
     let moved = merged.frame("f1.jpg")["alignment"]["shift_px"][1].as_f64().expect("a number");
     assert!(moved.abs() > 3.0, "{moved}");
-    // The same at night, when little else is bright.
+    // Hot pixels in frames at night, in which little else is bright.
     let folder = Folder::empty();
     let frames: Vec<RgbImage> = (2..=4)
         .map(|i| {
@@ -76,7 +77,7 @@ fn hot_pixels_do_not_affect_alignment() {
     }
 }
 
-/// A shutter or flash left half of a frame black: if that frame is aligned, the other frames fill the black half.
+/// The shutter or flash left half of a frame black: the other frames are not affected, and fill the black half.
 #[test]
 fn half_black_frame_does_not_affect_the_result() {
     let folder = Folder::empty();
@@ -93,8 +94,8 @@ fn half_black_frame_does_not_affect_the_result() {
     assert!(mean > 50.0, "the lower half is dark: {mean}");
 }
 
-/// A very noisy night: aligned within three pixels in the farthest corner, or rejected; never wrong with high
-/// confidence.
+/// Frames of a very noisy night are aligned to within three pixels in every corner, or rejected; they are never aligned
+/// wrongly with high confidence.
 #[test]
 fn a_noisy_night_is_aligned_or_uncertain() {
     for most in [10.0, 25.0, 60.0] {
@@ -119,7 +120,7 @@ fn a_noisy_night_is_aligned_or_uncertain() {
     }
 }
 
-/// Two static frames of one exposure with different noise give less noise together.
+/// Two frames of a static scene with equal exposure and different noise give less noise together than one alone.
 #[test]
 fn noise_is_less_in_two_frames_than_in_one() {
     let folder = Folder::empty();
@@ -144,6 +145,6 @@ fn noise_is_less_in_two_frames_than_in_one() {
         (logs.iter().sum::<f64>() / logs.len() as f64).sqrt()
     };
     let (one, two) = (error(&twice), error(&both));
-    // Independent noise is reduced by the root of two, to 0.71, at best.
+    // The mean of two frames reduces independent noise at best by the square root of two, to 0.71.
     assert!(two < 0.8 * one, "{two} is not less than {one}");
 }

@@ -3,12 +3,12 @@
 use super::*;
 use image::imageops;
 
-/// A part of the window, `width` x `height` pixels.
+/// Returns a part of frame `i` of `width` x `height` pixels.
 fn piece(i: usize, width: u32, height: u32) -> RgbImage {
     imageops::crop_imm(&frame(i), 120, 60, width, height).to_image()
 }
 
-/// Too small to determine the motion: merged without alignment, with a warning.
+/// The pictures are too small to determine the motion: they are merged without alignment, with a warning.
 #[test]
 fn smallest_pictures_are_merged_without_alignment() {
     for (width, height) in
@@ -28,7 +28,7 @@ fn smallest_pictures_are_merged_without_alignment() {
     }
 }
 
-/// A strip of `width` pixels, with detail along it.
+/// Returns a picture that is a long strip, with detail along it.
 fn strip(width: u32, height: u32, light: f64) -> RgbImage {
     RgbImage::from_fn(width, height, |x, y| {
         let (u, v) = (f64::from(x), f64::from(y));
@@ -37,8 +37,8 @@ fn strip(width: u32, height: u32, light: f64) -> RgbImage {
     })
 }
 
-/// The longest side of a JPEG, and longer; a search over 15 % of the long side in both directions would need
-/// gigabytes.
+/// Strips as long as the longest side of a JPEG, and longer; a search over shifts of 15 % of the long side in both
+/// directions would need gigabytes.
 #[test]
 fn strips_as_long_as_can_be_are_merged() {
     for (width, height) in [(65_500, 4), (65_535, 4), (70_000, 4), (4, 65_536)] {
@@ -69,7 +69,7 @@ fn a_jpeg_of_a_longer_side_is_refused() {
     assert_eq!(folder.listing(), before);
 }
 
-/// A picture of a slit camera, long and not too narrow, moved by three pixels in the second frame.
+/// A picture as from a slit camera, long and not too narrow, which is shifted by three pixels in the second frame.
 #[test]
 fn a_long_picture_is_searched_in_seconds() {
     let folder = Folder::empty();

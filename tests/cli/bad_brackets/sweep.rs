@@ -22,7 +22,7 @@ const OPTIONS: [&str; 14] = [
     "--colour acescg --exposures as-given",
 ];
 
-/// The degenerate brackets, with their names.
+/// Returns degenerate brackets, each with its name.
 fn brackets() -> Vec<(&'static str, Vec<RgbImage>)> {
     let piece = |i: usize, width, height| image::imageops::crop_imm(&frame(i), 120, 60, width, height).to_image();
     let mut random = Random(3);
@@ -44,7 +44,7 @@ fn brackets() -> Vec<(&'static str, Vec<RgbImage>)> {
     ]
 }
 
-/// Exit code 0 with complete and valid results, or 1 with a message and no files.
+/// Checks that a merge gives exit code 0 with complete and valid results, or 1 with a message and no files.
 fn done_or_refused(name: &str, frames: &[RgbImage], options: &str) {
     let folder = Folder::empty();
     let names = lossless(&folder, &frames.iter().collect::<Vec<_>>());
@@ -88,7 +88,7 @@ fn degenerate_brackets_by_every_operator() {
     }
 }
 
-/// Black is black and white is white with every operator.
+/// Black frames give a black picture and white frames a white one, with every operator.
 #[test]
 fn black_and_white_are_kept_by_every_operator() {
     for operator in OPERATORS {
@@ -106,7 +106,7 @@ fn black_and_white_are_kept_by_every_operator() {
     }
 }
 
-/// The same brackets with the other commands.
+/// The other commands with the degenerate brackets.
 #[test]
 fn align_inspect_and_response_meet_them_too() {
     for (name, frames) in brackets() {

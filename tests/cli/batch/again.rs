@@ -1,4 +1,4 @@
-//! Repeated batches: complete results are kept, and files of others are not changed.
+//! Repeated batches: complete results are kept, and files of other owners are not changed.
 
 use super::{card, counts, refused, results};
 use crate::support::Folder;
@@ -12,22 +12,22 @@ fn unchanged_brackets_are_recognised_by_hash() {
     let paths = card(&folder, 3);
     folder.line("batch in -d out -q").done();
     let first = results(&folder);
-    // A copy: another date, the same bytes. And a new name of the folder.
+    // A photograph gets another date, with the same bytes.
     let copied = fs::read(&paths[0][0]).unwrap();
     fs::write(&paths[0][0], copied).unwrap();
     folder.line("batch in -d out -q").done();
     assert_eq!(counts(&folder), [0, 3, 0, 0]);
-    // One photograph changes: only its bracket is merged again.
+    // One photograph gets other bytes: only its bracket is merged again.
     let mut bytes = fs::read(&paths[1][0]).unwrap();
     bytes.extend(b"behind the picture");
     fs::write(&paths[1][0], bytes).unwrap();
     folder.line("batch in -d out -q").done();
     assert_eq!(counts(&folder), [1, 2, 0, 0]);
-    // An option changes: all are merged again, and replace the previous results.
+    // With another option all brackets are merged again, and the new results replace the previous ones.
     folder.line("batch in -d out -q --weight gaussian").done();
     assert_eq!(counts(&folder), [3, 0, 0, 0]);
     assert!(results(&folder) != first);
-    // --force merges all again.
+    // With --force all brackets are merged again.
     folder.line("batch in -d out -q --weight gaussian --force").done();
     assert_eq!(counts(&folder), [3, 0, 0, 0]);
     // Options for resources do not affect the results.
@@ -52,7 +52,7 @@ fn a_result_that_somebody_changed_is_kept() {
     assert_ne!(folder.bytes(picture), b"retouched");
 }
 
-/// A formatted card starts with IMG_0001 again.
+/// After a card is formatted, the camera starts with IMG_0001 again.
 #[test]
 fn photographs_of_the_same_names_do_not_take_the_place_of_others() {
     let folder = Folder::empty();
@@ -69,7 +69,8 @@ fn photographs_of_the_same_names_do_not_take_the_place_of_others() {
     assert!(results(&folder) != first);
 }
 
-/// A bracket that lost a frame by damage is still a bracket, but does not replace the result of the complete one.
+/// A bracket with a damaged frame is merged without this frame, but does not replace the result of the complete
+/// bracket.
 #[test]
 fn a_damaged_frame_does_not_make_a_good_result_worse() {
     let folder = Folder::empty();
@@ -82,7 +83,7 @@ fn a_damaged_frame_does_not_make_a_good_result_worse() {
     let said = run.stderr.split_whitespace().collect::<Vec<_>>().join(" ");
     assert!(said.contains("unreadable") && said.contains("IMG_0002.JPG, which exists"), "{said}");
     assert!(results(&folder) == first);
-    // If it is removed, no bracket uses it.
+    // If the damaged photograph is removed, the bracket without it is merged.
     fs::remove_file(&paths[0][1]).unwrap();
     folder.line("batch in -d out -q").done();
     assert_eq!(counts(&folder), [1, 1, 0, 0]);
@@ -122,7 +123,7 @@ fn summary_of_somebody_else_is_kept_and_the_batch_fails() {
                 said.contains(&format!("{name}: cannot be written")) && said.contains("did not write it"),
                 "{said}"
             );
-            assert!(!said.contains("the space left"), "{said}");
+            assert!(!said.contains("the free disk space"), "{said}");
             assert_eq!(folder.bytes(name), text.as_bytes());
             assert_eq!(fs::read_dir(folder.at("out")).unwrap().count(), 1, "{line}: work was done");
         }
@@ -131,7 +132,7 @@ fn summary_of_somebody_else_is_kept_and_the_batch_fails() {
     folder.put("out/batch.csv", b"mine");
     folder.line("batch in -d out -q --force").done();
     assert_eq!(counts(&folder), [1, 0, 0, 0]);
-    // Now both are results of hdralign.
+    // Now both summary files were written by hdralign, and are replaced.
     folder.line("batch in -d out -q").done();
     assert_eq!(counts(&folder), [0, 1, 0, 0]);
 }
@@ -165,7 +166,8 @@ fn bracket_with_the_name_of_the_summary_gets_another() {
     }
 }
 
-/// After a kill between two renames, a job has a report and not all results: the next run recognises them as its own.
+/// After a kill between two renames, a job has a report and only some results: the next run recognises them as its own
+/// and completes them.
 #[test]
 fn interrupted_batch_is_completed_by_the_next_run() {
     let folder = Folder::empty();
@@ -180,8 +182,8 @@ fn interrupted_batch_is_completed_by_the_next_run() {
     assert_eq!(counts(&folder), [1, 0, 0, 0]);
     assert!(results(&folder) == first, "the rest of the killed run is taken away");
 
-    // Killed after the report of a second run with other options was renamed: the results are still those of the
-    // first run.
+    // State after a kill of a second run with other options, when only its report was renamed: the results are still
+    // those of the first run.
     folder.line("batch in -d out -q --weight gaussian").done();
     let (second, report) = (results(&folder), folder.bytes(&name("json")));
     for (path, bytes) in &first {

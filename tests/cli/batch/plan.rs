@@ -5,7 +5,7 @@ use crate::support::Folder;
 use serde_json::Value;
 use std::fs;
 
-/// The plan for `options` in `plan.jsonl`, and its lines.
+/// Writes the plan for `options` to `plan.jsonl`, and returns its lines.
 fn planned(folder: &Folder, options: &str) -> Vec<Value> {
     let run = folder.line(&format!("batch --plan in -d out {options}")).done();
     folder.put("plan.jsonl", run.stdout.as_bytes());
@@ -30,7 +30,7 @@ fn jobs_give_the_bytes_of_the_local_run() {
     assert_eq!(merges[0]["options"], serde_json::json!(["--weight=gaussian", "--tmo=drago", "--normalize=set"]));
     assert!(lines.iter().all(|l| l["memory_mb"].as_f64().unwrap() > 25.0 && l["time_s"].as_f64().unwrap() > 0.1));
 
-    // A needed job has not been run.
+    // The job that recovers the response, which the merges need, has not been run.
     let first = merges[0]["id"].as_str().unwrap();
     assert!(refused(folder.line(&format!("batch --run plan.jsonl --id {first}"))).contains("response-hdralign"));
     assert_eq!(folder.line("batch --summarize plan.jsonl").code, 1, "none is done");
@@ -45,7 +45,7 @@ fn jobs_give_the_bytes_of_the_local_run() {
     assert!(results(&folder) == local);
     assert_eq!(counts(&folder), [4, 0, 0, 0]);
     assert!(summary(&folder)["time_s"].is_null());
-    // The local run knows what jobs have done.
+    // A local run recognises the results of the jobs.
     folder.line(&format!("batch in -d out -q {options}")).done();
     assert_eq!(counts(&folder), [0, 4, 0, 0]);
 }
@@ -65,7 +65,7 @@ fn failed_job_is_printed_and_in_the_summary() {
     assert_eq!(folder.line("batch --summarize plan.jsonl").code, 3);
     assert_eq!(counts(&folder), [1, 0, 1, 0]);
     assert!(summary(&folder)["steps"][1]["error"].as_str().unwrap().contains("truncated"));
-    // Several jobs in one command.
+    // One command runs several jobs.
     let both = format!("batch --run plan.jsonl --id {} --id {}", ids[0], ids[1]);
     assert_eq!(folder.line(&both).code, 3);
     fs::write(&paths[1][2], whole).unwrap();
@@ -73,7 +73,7 @@ fn failed_job_is_printed_and_in_the_summary() {
     folder.line("batch --summarize plan.jsonl").done();
 }
 
-/// An engine may start a job again while it is still running.
+/// A workflow engine may start a job again while it is still running.
 #[test]
 fn a_job_may_be_run_twice_at_the_same_time() {
     let folder = Folder::empty();

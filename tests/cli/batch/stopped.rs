@@ -14,7 +14,7 @@ const BRACKETS: usize = 12;
 /// A batch that runs one job at a time.
 const BATCH: &str = "batch in -d out --jobs 1 --threads 1";
 
-/// Waits until so many brackets are done, or the batch has ended.
+/// Waits until `brackets` brackets are done, or the batch has ended.
 fn wait_for(folder: &Folder, brackets: usize, child: &mut Child) {
     while done(folder) < brackets && child.try_wait().expect("its state").is_none() {
         std::thread::sleep(Duration::from_millis(5));
@@ -44,7 +44,7 @@ fn ctrl_c_finishes_running_jobs_and_a_kill_keeps_complete_results() {
     folder.line("batch in -d out -q").done();
     let whole = results(&folder);
 
-    // If the batch ended before it was observed, it is started again.
+    // If the batch ends before the signal reaches it, it is started again.
     let code = (0..10).find_map(|_| {
         fs::remove_dir_all(folder.at("out")).unwrap();
         let mut child = begin(&folder, BATCH);
@@ -72,7 +72,7 @@ fn ctrl_c_finishes_running_jobs_and_a_kill_keeps_complete_results() {
 
     folder.line("batch in -d out -q").done();
     let [did, unchanged, ..] = counts(&folder);
-    // The job that was renaming files when it was killed may have been complete except for one file.
+    // The last picture that was counted may belong to a job that was killed while it renamed its files.
     assert!(did + unchanged == BRACKETS as u64 && unchanged + 1 >= had, "{unchanged} of {had} were left alone");
     assert!(results(&folder) == whole);
     assert_eq!(hidden(&folder), 0);

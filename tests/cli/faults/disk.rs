@@ -6,7 +6,7 @@ use crate::support::{Folder, Run};
 use serde_json::Value;
 use std::fs;
 
-/// Runs `script` in a folder `full` that is a disk of `size`, which is removed afterwards.
+/// Runs `script` while the folder `full` is a disk in memory of `size` bytes; the disk is removed afterwards.
 fn on_disk(folder: &Folder, size: &str, script: &str) -> Run {
     fs::create_dir_all(folder.at("full")).expect("a folder");
     let script = format!("mount -t tmpfs -o size={size} none full && {script}");
@@ -19,7 +19,7 @@ fn on_disk(folder: &Folder, size: &str, script: &str) -> Run {
 fn file_size_limit_names_the_file_and_leaves_no_files() {
     let folder = bracket();
     folder.line(&format!("merge {FRAMES} -q -o a.exr -o b.exr -o a.png")).done();
-    // Blocks of 512 bytes: smaller than any of these files.
+    // The limits, in blocks of 512 bytes, are smaller than each of the files.
     for (blocks, line, name) in [
         (8, "merge FRAMES -q -o c.exr", "c.exr"),
         (8, "merge FRAMES -q -o c.hdr", "c.hdr"),
@@ -51,7 +51,7 @@ fn file_size_limit_names_the_file_and_leaves_no_files() {
             &[name, "cannot be written", "File too large", "ulimit -f"],
         );
     }
-    // Exit code 1 of compare means that files differ.
+    // An error of `compare` has exit code 2, because 1 means that the files differ.
     let grown = ["d.png", "cannot be written", "ulimit -f"];
     fails(&folder, "ulimit -f 1; $H compare a.exr b.exr -q --diff d.png", 2, &grown);
     fails(&folder, "ulimit -f 8; $H compare e.exr a.exr -q --bless", 2, &["e.exr", "ulimit -f"]);
@@ -68,7 +68,7 @@ fn full_disk_names_no_file_of_a_run_and_keeps_older_ones() {
     let sizes: Vec<(String, u64)> = folder.listing().into_iter().filter(|(name, _)| name.starts_with("a.")).collect();
     let before: Vec<Vec<u8>> = sizes.iter().map(|(name, _)| folder.bytes(name)).collect();
     let (largest, size) = sizes.iter().max_by_key(|(_, size)| *size).expect("six files");
-    // Space for all except the largest.
+    // The limit is large enough for all files except the largest.
     let script = format!("ulimit -f {}; $H merge {FRAMES} -q --force {files}", size / 512 - 1);
     fails(&folder, &script, 1, &[largest, "File too large"]);
     assert!(sizes.iter().zip(&before).all(|((name, _), bytes)| folder.bytes(name) == *bytes), "an older one was lost");
@@ -97,7 +97,7 @@ fn full_disk_names_the_file_and_the_remedy() {
         let run = on_disk(&folder, size, &format!("{{ $H {line}; echo $?; ls -A full; }}"));
         assert_eq!(run.stdout, "1\n", "{line}: {run:?}");
         let is_reported =
-            run.stderr.contains("full/") && run.stderr.contains("free space there, or write to another disk");
+            run.stderr.contains("full/") && run.stderr.contains("delete some files there, or write to another disk");
         assert!(is_reported && run.stderr.lines().count() == 1, "{line}: {}", run.stderr);
     }
     let line =
@@ -118,7 +118,8 @@ fn a_disk_that_is_read_only_is_named() {
     assert!(run.stderr.contains("full/c.exr") && run.stderr.contains("mount this one for writing"), "{run:?}");
 }
 
-/// Reported once, and no further bracket is started; with more space the next run does only what is missing.
+/// The full disk is reported once, and no further bracket is started; with more space, the next run merges only the
+/// missing brackets.
 #[test]
 #[ignore = "mounts a disk of memory; .ci/run runs it where the system allows that"]
 fn a_batch_on_a_full_disk_stops_and_is_taken_up_again() {
@@ -130,14 +131,14 @@ fn a_batch_on_a_full_disk_stops_and_is_taken_up_again() {
         "{batch} 2>first; echo $?; ls -A full | grep -c part; ls full | grep -c exr; \
          mount -o remount,size=16m full; {batch} --json >second; echo $?; cp -r full kept"
     );
-    // Each bracket has about 110 kB.
+    // The results of each bracket take about 110 kB.
     let run = on_disk(&folder, "400k", &script);
     let reported: Vec<&str> = run.stdout.split_whitespace().filter(|word| word.parse::<u32>().is_ok()).collect();
     let first = String::from_utf8_lossy(&folder.bytes("first")).into_owned();
     let done: usize = reported[2].parse().expect("a number");
     assert!((reported[0], reported[1], reported[3]) == ("3", "0", "0") && (1..8).contains(&done), "{run:?} {first}");
     assert_eq!(first.matches("the disk is full, so no further bracket is started").count(), 1, "{first}");
-    // One job, and the thread that renames files: two may have been in progress.
+    // No bracket is started after the first failure, but brackets that were computed before it may fail too.
     assert!((1..=3).contains(&first.matches("failed: ").count()), "{first}");
     let summary: Value = serde_json::from_slice(&folder.bytes("second")).expect("JSON");
     let counts = ["done", "unchanged", "failed", "not_done"].map(|key| summary["counts"][key].as_u64());
@@ -157,12 +158,12 @@ fn a_batch_on_a_full_disk_stops_and_is_taken_up_again() {
 fn unwritable_summary_does_not_affect_results() {
     let folder = Folder::empty();
     Card::new(64).brackets(2, 3, 2.0).write(&folder.at("in"));
-    // An existing folder in its place is reported at once.
+    // A folder with the name of the summary is reported before any work.
     fs::create_dir_all(folder.at("out/batch.json")).expect("a folder in its place");
     fails(&folder, "$H batch in -d out --formats png", 1, &["out/batch.json", "it is a folder"]);
     assert_eq!(fs::read_dir(folder.at("out")).expect("the folder").count(), 1);
     fs::remove_dir(folder.at("out/batch.json")).expect("the folder");
-    // Only the summary is longer than the limit: it has a line for each raw file.
+    // Only the summary is longer than the limit, because it has an entry for each raw file.
     (0..1000).for_each(|i| folder.put(&format!("in/{i}.cr2"), b""));
     let run = shell(&folder, "ulimit -f 100; $H batch in -d out --formats png");
     assert_eq!(run.code, 3, "{run:?}");

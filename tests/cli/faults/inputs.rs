@@ -33,7 +33,7 @@ fn files_that_are_not_photographs_are_reported_with_their_type() {
         ("w2.jpg/x.jpg", "Not a directory"),
     ] {
         for line in ["merge -o a.exr", "align", "inspect -d look", "response -o r.json"] {
-            // For response a folder is a bracket, which has another message.
+            // `response` takes a folder as a bracket, so its message is different.
             if line.starts_with("response") && (name == "d.jpg" || name.contains('/')) {
                 continue;
             }
@@ -57,12 +57,12 @@ fn a_pipe_is_a_photograph_when_somebody_writes_it() {
     assert_eq!(run.code, 0, "{run:?}");
     folder.line("merge w2.jpg w3.jpg -q -o b.exr").done();
     assert!(folder.bytes("a.exr") == folder.bytes("b.exr"));
-    // No process writes: the waiting program can be ended by a signal.
+    // No process writes to the pipe; the program, which waits for it, can be ended by a signal.
     let script = "$H merge w2.jpg p.jpg -q -o c.exr & sleep 0.5; kill $!; wait $!";
     fails(&folder, script, 143, &["no incomplete files were left"]);
 }
 
-/// tests/fixtures/README.md: with overflow checks the exr crate panics on it.
+/// If compiled with overflow checks, the exr crate panics on this file (see tests/fixtures/README.md).
 #[test]
 fn a_panic_of_a_decoder_is_not_printed() {
     let folder = bracket();
@@ -70,11 +70,11 @@ fn a_panic_of_a_decoder_is_not_printed() {
     fs::copy(fixture, folder.at("damaged.exr")).expect("a copy");
     let run = shell(&folder, "RUST_BACKTRACE=1 $H tonemap damaged.exr -o a.png");
     assert!(!run.stderr.contains("panicked") && !run.stderr.contains(".rs:"), "{run:?}");
-    // Without overflow checks its damaged blocks are read.
+    // Without overflow checks, the damaged blocks of the file are read.
     assert!(run.code == 0 || run.code == 1 && run.stderr.contains("damaged.exr: "), "{run:?}");
 }
 
-/// /proc/self/mem can be opened like a file and fails when it is read, like a damaged card.
+/// /proc/self/mem can be opened like a file, but reading it fails, as with a damaged card.
 #[test]
 #[cfg_attr(not(target_os = "linux"), ignore = "needs /proc/self/mem")]
 fn read_failure_names_the_file() {
@@ -91,11 +91,12 @@ fn read_failure_names_the_file() {
 fn a_file_that_may_not_be_read_is_named() {
     let folder = bracket();
     let allow = |path: &Path, mode| fs::set_permissions(path, Permissions::from_mode(mode)).expect("permissions");
-    // Root may read everything, so the test runs as nobody, who may have no access to the program's folder.
+    // Root may read everything, so the program is run as `nobody`. It is copied, because `nobody` may have no access to
+    // its folder.
     let elsewhere = Folder::empty();
     let program = elsewhere.at("hdralign");
-    // Copied by another process, because processes that tests start in the meantime inherit open files, and a file
-    // that is open for writing cannot be executed.
+    // Another process (`cp`) makes the copy: processes that other tests start in the meantime inherit files that this
+    // process has open, and a file that is open for writing cannot be executed.
     let copied = Command::new("cp").args([crate::support::program(), program.clone()]).status().expect("cp");
     assert!(copied.success());
     allow(elsewhere.path(), 0o755);
@@ -164,12 +165,13 @@ fn names_of_any_bytes_go_in_and_out() {
         folder.run(["tonemap".into(), with(".exr"), "-q".into(), "-o".into(), with(".png")]).done();
         folder.run(["compare".into(), with(".exr"), with(".exr")]).done();
     }
-    // Also without folder, if they do not look like an option.
+    // Such names also work without a folder, after `--`.
     folder.run(["merge", "--", "-lead1.jpg", "-lead2.jpg"]).done();
     assert!(folder.at("-lead1--lead2.exr").is_file() && unnamed(folder.path()) == 0);
 }
 
-/// Folders with such names: the summary is valid JSON and CSV, and a second run recognises the results.
+/// With folders that have the names in [`ODD`], the summary is valid JSON and CSV, and a second run recognises the
+/// results.
 #[test]
 fn a_batch_takes_folders_of_any_name() {
     let folder = Folder::empty();
@@ -189,7 +191,7 @@ fn a_batch_takes_folders_of_any_name() {
     assert_eq!((count, counts["done"].as_u64()), (ODD.len(), Some(ODD.len() as u64)));
     folder.line("batch in -d out -q --by-folder --formats png").done();
     assert_eq!(rows(&folder).1["unchanged"].as_u64(), Some(ODD.len() as u64));
-    // A plan is UTF-8: other names are reported, and not planned wrongly.
+    // A plan is UTF-8, so a name that is not is reported and not planned.
     let plan = folder.line("batch in -d again --by-folder --formats png --plan");
     assert!(plan.code == 3 && plan.stdout.lines().count() == ODD.len() - 1, "{plan:?}");
     assert!(plan.stdout.lines().all(|line| serde_json::from_str::<Value>(line).is_ok()));

@@ -8,7 +8,7 @@ use crate::support::card::Card;
 fn few_open_files_are_enough_and_too_few_are_an_error() {
     let folder = bracket();
     let outputs = "-o a.exr -o a.png -o a.jpg -o a.tif -o a.hdr";
-    // Photographs are read one after the other, so that the error is always for the same file.
+    // With one thread, photographs are read one after the other, so that the error is always for the same file.
     fails(
         &folder,
         &format!("ulimit -n 6; $H merge {FRAMES} -q --threads 1 {outputs}"),
@@ -34,7 +34,7 @@ fn refusing(started: usize) -> String {
     let library = LIBRARY.get_or_init(|| {
         let source = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/cli/faults/refuse_threads.c");
         let library = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("refuse_threads.so");
-        // mimalloc is written in C, so there is a compiler.
+        // There is a C compiler, because mimalloc is written in C.
         let compiler = std::env::var_os("CC").unwrap_or_else(|| "cc".into());
         let mut command = std::process::Command::new(compiler);
         let compiled = command.args(["-shared", "-fPIC", "-o"]).arg(&library).args([source, "-ldl"]).status();
@@ -52,7 +52,7 @@ fn threads_that_are_refused_are_an_error() {
     Card::new(64).brackets(2, 3, 2.0).write(&folder.at("in"));
     let said = ["threads could not be started", "--threads", "ulimit"];
     folder.line(&format!("merge {FRAMES} -q -o a.exr")).done();
-    // Also without --threads.
+    // The number of threads is set by RAYON_NUM_THREADS here, without --threads.
     for line in [
         "merge w2.jpg w3.jpg -o b.exr",
         "align w2.jpg w3.jpg",
@@ -69,7 +69,7 @@ fn threads_that_are_refused_are_an_error() {
     }
 }
 
-/// Each thread in turn: if the run needs it, there is an error; otherwise the result is the same.
+/// Each thread in turn is refused: if the run needs it, there is an error; otherwise the result is the same.
 #[test]
 #[cfg_attr(not(all(target_os = "linux", target_env = "gnu")), ignore = "needs LD_PRELOAD and glibc")]
 fn refused_thread_is_an_error_or_has_no_effect() {
@@ -77,7 +77,7 @@ fn refused_thread_is_an_error_or_has_no_effect() {
     let line = format!("merge {FRAMES} -q --threads 3 -o a.exr -o a.png --report a.html --force");
     folder.line(&line).done();
     let (exr, png) = (folder.bytes("a.exr"), folder.bytes("a.png"));
-    // One thread handles signals, three compute, others sync files.
+    // The first thread handles signals, the next three compute, and the others sync files.
     for started in 0..8 {
         if started < 4 {
             fails(&folder, &format!("{}$H {line}", refusing(started)), 1, &["3 threads could not be started"]);
@@ -89,7 +89,7 @@ fn refused_thread_is_an_error_or_has_no_effect() {
     }
 }
 
-/// A batch does what is possible, and the rest in the next run.
+/// A batch with refused threads does what is possible, and the next run does the rest.
 #[test]
 #[cfg_attr(not(all(target_os = "linux", target_env = "gnu")), ignore = "needs LD_PRELOAD and glibc")]
 fn batch_with_refused_threads_is_taken_up_again() {
@@ -105,15 +105,15 @@ fn batch_with_refused_threads_is_taken_up_again() {
     assert_eq!(shell(&folder, line).code, 0);
 }
 
-/// As deep as a path may be, with 4,096 bytes. The search took 90 s of CPU time when it resolved every folder from
-/// the root.
+/// The folders are nested as deep as a path of 4,096 bytes allows. An earlier version resolved every folder from the
+/// root, and the search took 90 s of CPU time.
 #[cfg(target_os = "linux")]
 #[test]
 fn deep_folders_are_searched_in_little_time() {
     let folder = Folder::empty();
     Card::new(64).brackets(1, 3, 2.0).write(&folder.at("in").join("d/".repeat(1900)));
     let run = shell(&folder, "ulimit -t 20; $H batch in --dry-run");
-    // Too deep for removing the temporary folder in the usual way.
+    // The folders are too deep to be removed with the temporary folder.
     shell(&folder, "rm -rf in");
     assert!(run.code == 0 && run.stdout.contains("1 bracket of 3 photographs"), "{}", run.code);
 }

@@ -1,5 +1,5 @@
-//! Failures of the machine, through the program: a clear message, the right exit code, no incomplete file under a
-//! final name, no temporary file left. docs/reference/faults.md lists them with these tests.
+//! Failures of the machine, tested with the program: a clear message, the right exit code, no incomplete file under a
+//! final name, no temporary file left. docs/reference/faults.md lists the failures with these tests.
 
 #![cfg(unix)]
 
@@ -16,7 +16,8 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::OnceLock;
 
-/// Three frames of 150 x 100 pixels, `w2.jpg` to `w4.jpg`: every run takes a fraction of a second.
+/// Creates a folder with three frames of 150 x 100 pixels, `w2.jpg` to `w4.jpg`, so that every run takes a fraction of
+/// a second.
 fn bracket() -> Folder {
     static FILES: OnceLock<Vec<Vec<u8>>> = OnceLock::new();
     let tiny = |i: usize| jpeg(&shrink(&image::open(window(i)).expect("a frame").to_rgb8(), 8), Some(i));
@@ -28,11 +29,11 @@ fn bracket() -> Folder {
     folder
 }
 
-/// Their names, for a command line.
+/// The names of the frames of [`bracket`], for a command line.
 const FRAMES: &str = "w2.jpg w3.jpg w4.jpg";
 
-/// Runs `script` in `folder` with sh; `$H` is the program. A signal that ends it is reported as in a shell: 128 plus
-/// its number.
+/// Runs `script` in `folder` with sh; `$H` is the program. If a signal ends the script, the code is that of a shell:
+/// 128 plus the number of the signal.
 fn shell(folder: &Folder, script: &str) -> Run {
     let output = Command::new("sh")
         .args(["-c", script])
@@ -46,8 +47,8 @@ fn shell(folder: &Folder, script: &str) -> Run {
     Run { code, stdout: text(&output.stdout), stderr: text(&output.stderr) }
 }
 
-/// Runs `script`, and checks what all failures have in common: the exit code, a message with all of `said`, no panic,
-/// and no file left or lost.
+/// Runs `script`, and checks the exit code, that the message contains all of `said`, that there was no panic, and that
+/// no file was left or lost.
 fn fails(folder: &Folder, script: &str, code: i32, said: &[&str]) {
     let before = folder.listing();
     let run = shell(folder, script);
@@ -59,7 +60,7 @@ fn fails(folder: &Folder, script: &str, code: i32, said: &[&str]) {
     assert_eq!(folder.listing(), before, "{script}: something was left behind, or lost");
 }
 
-/// Number of temporary files in `folder`.
+/// Returns the number of temporary files in `folder` and below it.
 fn unnamed(folder: &Path) -> usize {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     let count = |entry: std::fs::DirEntry| match entry.file_type() {

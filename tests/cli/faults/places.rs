@@ -23,7 +23,7 @@ fn link_is_replaced_and_its_target_is_unchanged() {
     }
     assert_eq!(folder.bytes("precious"), b"precious");
     assert!(!folder.at("nowhere").exists());
-    // But a photograph is never replaced, under any name.
+    // A photograph is never replaced, whatever name is given for it.
     symlink("w2.jpg", folder.at("in.jpg")).expect("a link");
     for name in ["in.jpg", "./w2.jpg", "\"$PWD\"/w2.jpg"] {
         fails(&folder, &format!("$H merge {FRAMES} --force -o {name}"), 2, &["also an input file"]);
@@ -49,7 +49,7 @@ fn places_that_cannot_be_are_refused() {
         ("link.exr", 1, ""),
     ] {
         if name == "link.exr" {
-            // A link to a folder is a link: it is replaced on request, and the folder is kept.
+            // A link to a folder counts as a link: with --force it would be replaced, and the folder kept.
             fails(&folder, &format!("$H merge {FRAMES} -o {name}"), 1, &["exists already"]);
             continue;
         }
@@ -68,7 +68,8 @@ fn places_that_cannot_be_are_refused() {
     assert!(folder.at(longest).is_file());
 }
 
-/// Files are identified by device and inode: under another name, in another letter case, and through another mount.
+/// Files are identified by device and inode, so that they are recognised under another name, in another letter case,
+/// and through another mount.
 #[test]
 fn input_under_another_name_is_refused_by_the_option_that_names_it() {
     let folder = bracket();
@@ -123,8 +124,8 @@ fn batch_that_would_replace_a_photograph_is_refused_by_its_name_option() {
     assert!(fs::read(folder.at("in/IMG_0001.jpg")).expect("a photograph") == first);
 }
 
-/// Some FUSE file systems support neither hard links nor renaming without replacement, and few support files without
-/// a name.
+/// Some FUSE file systems support neither hard links nor renaming without replacement, and most do not support files
+/// without a name.
 #[test]
 #[ignore = "filters system calls; .ci/run runs it where the system allows that"]
 fn file_system_that_lacks_links_or_more_is_written_to_all_the_same() {
@@ -146,7 +147,7 @@ fn file_system_that_lacks_links_or_more_is_written_to_all_the_same() {
     }
 }
 
-/// Permissions of private photographs.
+/// The results of private photographs stay private.
 #[test]
 fn replaced_files_keep_their_permissions() {
     let folder = bracket();
@@ -157,7 +158,7 @@ fn replaced_files_keep_their_permissions() {
     set("a.exr", 0o600);
     folder.line(&format!("merge {FRAMES} -q -o a.exr --force")).done();
     assert_eq!(mode("a.exr"), 0o600);
-    // A golden picture keeps its permissions; a new one has no more than the file that it copies.
+    // An expected file of `compare --bless` keeps its permissions; a new one has no more than the file that is copied.
     set("b.exr", 0o640);
     set("a.exr", 0o644);
     folder.line("compare b.exr a.exr -q --bless").done();
@@ -178,7 +179,7 @@ fn results_may_go_to_another_disk() {
     let line = format!("$H merge {FRAMES} -q -o here.exr -o {}", there.display());
     assert_eq!(shell(&folder, &line).code, 0);
     assert!(fs::read(&there).expect("a result") == folder.bytes("here.exr"));
-    // A link to a folder there is a folder, and may also contain the scratch file.
+    // A link to a folder on the other disk is used as a folder, also for the scratch file.
     symlink(other.path(), folder.at("link")).expect("a link");
     let line = format!("$H merge {FRAMES} -q --threads 16 --max-memory 64MB --scratch link -o link/b.exr -o again.exr");
     assert_eq!(shell(&folder, &line).code, 0);
@@ -191,8 +192,8 @@ fn results_may_go_to_another_disk() {
 fn a_folder_that_vanishes_is_named() {
     let folder = bracket();
     fs::create_dir(folder.at("sub")).expect("a folder");
-    // The first temporary file, with or without a name, shows that the work is nearly done; a quick run may end
-    // first.
+    // The folder is removed when the first temporary file in it, with or without a name, shows that the work is nearly
+    // done. A quick run may end before.
     let script = format!(
         "$H merge {FRAMES} -q --tmo fattal -o sub/a.jpg -o sub/a.exr -o sub/a.tif -o sub/a.png --report sub/a.html & \
          while kill -0 $! 2>/dev/null && [ -z \"$(ls -A sub)$(ls -l /proc/$!/fd 2>/dev/null | grep /sub/)\" ]; do :; done; rm -rf sub; wait $!"

@@ -1,6 +1,6 @@
-//! Signals at many moments of every command: all results or none, and never a temporary file.
+//! Signals at many moments of every command leave all results or none, and never a temporary file.
 //!
-//! `HDRALIGN_MOMENTS` is the number of moments for each command; a dozen by default.
+//! `HDRALIGN_MOMENTS` is the number of moments for each command; 12 by default.
 
 use super::{FRAMES, bracket, shell, unnamed};
 use crate::child::{begin, send};
@@ -39,7 +39,7 @@ fn interrupted(folder: &Folder, line: &str, outputs: &[&str]) {
         let end = child.wait().expect("its end");
         let there = outputs.iter().filter(|name| folder.at(name).exists()).count();
         let said = format!("{line}: {signal} at moment {i}: {end}, {there} files");
-        // Before the program has installed its handlers, a signal has its default effect.
+        // A signal has its default effect until the program has installed its handlers.
         let is_stopped = end.code() == Some(128 + number) || end.signal() == Some(number);
         assert!(is_stopped || end.success(), "{said}");
         // A signal after the work is done affects only the exit code.
@@ -78,7 +78,7 @@ fn interrupted_inspect_leaves_the_complete_folder_or_none() {
     interrupted(&bracket(), &format!("inspect {FRAMES} -d look"), &["look/tables.txt", "look/w2.threshold.png"]);
 }
 
-/// As with `nohup`, and as a shell does for background processes.
+/// The program is started with an ignored signal, as by `nohup`, or by a shell in the background.
 #[test]
 fn ignored_signals_stay_ignored() {
     let folder = bracket();
@@ -93,13 +93,13 @@ fn ignored_signals_stay_ignored() {
     assert!(folder.bytes("a0.exr") == folder.bytes("a1.exr"));
 }
 
-/// As on systems that do not list ignored signals (macOS, BSD).
+/// Without /proc, as on systems that do not list ignored signals (macOS, BSD).
 #[test]
 #[ignore = "mounts over /proc; .ci/run runs it where the system allows that"]
 fn ignored_signals_are_found_without_a_list_of_them() {
     let folder = bracket();
-    // It waits for a photograph from a pipe, so that no signal is too late. Processes that a shell runs in the
-    // background ignore INT; with nohup also HUP.
+    // The program waits for a photograph from a pipe, so that no signal is too late. Processes that a shell runs in the
+    // background ignore INT; with `trap "" HUP`, as with nohup, also HUP.
     for (ignore, signal, code) in [("trap \"\" HUP", "HUP", 0), (":", "HUP", 129), (":", "INT", 0)] {
         let script = format!(
             "rm -f p.jpg; mkfifo p.jpg; unshare -rm env --default-signal=HUP sh -c 'mount -t tmpfs none /proc; {ignore}; \
@@ -112,7 +112,7 @@ fn ignored_signals_are_found_without_a_list_of_them() {
     }
 }
 
-/// Stopping and continuing, and SIGPIPE, change nothing.
+/// Stopping and continuing the program, and SIGPIPE, do not change the result.
 #[test]
 fn pause_and_sigpipe_do_not_change_the_result() {
     let folder = bracket();
@@ -126,18 +126,17 @@ fn pause_and_sigpipe_do_not_change_the_result() {
         send("CONT", &mut child);
     }
     let end = child.wait().expect("its end");
-    // The very first signal may arrive before the program ignores it.
+    // The first SIGPIPE may arrive before the program ignores this signal.
     assert!(end.success() || end.signal() == Some(13), "{end}");
     assert!(!end.success() || folder.bytes("a.exr") == folder.bytes("b.exr"));
     assert_eq!(unnamed(folder.path()), 0);
 }
 
-/// The second signal stops a batch at once.
 #[test]
 fn second_signal_stops_a_batch_at_once() {
     let folder = Folder::empty();
     crate::support::card::Card::new(300).brackets(6, 3, 2.0).write(&folder.at("in"));
-    // If the batch ended before it was observed, it is started again.
+    // If the batch ends before the signals reach it, it is started again.
     let end = (0..10).find_map(|_| {
         let _ = fs::remove_dir_all(folder.at("out"));
         let mut child = begin(&folder, "batch in -d out -q --jobs 1 --threads 1");
@@ -150,7 +149,7 @@ fn second_signal_stops_a_batch_at_once() {
         send("TERM", &mut child);
         Some(child.wait().expect("its end")).filter(|end| !end.success())
     });
-    // The running job may have ended between the two signals.
+    // Code 3 instead of 143: the running job ended between the two signals.
     assert!(end.is_some_and(|end| matches!(end.code(), Some(143 | 3))), "{end:?}");
     assert_eq!(unnamed(folder.path()), 0);
     folder.line("batch in -d out -q").done();

@@ -1,4 +1,4 @@
-//! stdout and stderr that are full, closed, or have no reader.
+//! Runs whose stdout or stderr is full, closed, or has no reader.
 
 use super::{FRAMES, bracket, fails, shell};
 use crate::support::Folder;
@@ -45,7 +45,7 @@ fn closed_stdout_or_reader_is_not_an_error() {
     }
 }
 
-/// Messages are lost, but the work continues, and the exit code is the same.
+/// If stderr is closed or full, messages are lost, but the work continues, and the exit code is the same.
 #[test]
 #[cfg_attr(not(target_os = "linux"), ignore = "needs /dev/full")]
 fn closed_stderr_does_not_stop_the_work() {
@@ -54,7 +54,7 @@ fn closed_stderr_does_not_stop_the_work() {
     let heard = shell(&folder, &format!("$H merge {FRAMES} -v -o a.exr"));
     assert!(heard.code == 0 && heard.stderr.lines().count() > 6);
     for (i, to) in ["2>/dev/full", "2>&-", "2>gone", "2>/dev/null"].into_iter().enumerate() {
-        // A pipe without reader.
+        // For "2>gone", stderr is a pipe without reader.
         let script = |line: &str| match to {
             "2>gone" => format!("exec 3>&1; {{ sleep 0.05; $H {line} 2>&1 >&3; echo $? >&3; }} | true"),
             _ => format!("$H {line} {to}; echo $?"),

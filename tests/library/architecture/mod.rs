@@ -6,7 +6,7 @@ pub mod source;
 use source::{Source, sources};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// A module uses only those before it.
+/// The layers: a module uses only modules of its own layer and of those before it in this list.
 const LAYERS: [&str; 26] = [
     "error",
     "limits",
@@ -46,7 +46,7 @@ const ALTERNATIVES: [(&str, &[&str]); 6] = [
     ("tonemap::operators", &["reinhard", "drago", "durand", "fattal", "mantiuk06", "mantiuk08"]),
 ];
 
-/// Most lines of a file.
+/// Largest number of lines of a file.
 const MOST_LINES: usize = 500;
 
 /// Functions of the platform's mathematical library, whose results depend on the platform. sqrt, abs, floor, ceil and
@@ -61,7 +61,7 @@ fn is_program(source: &Source) -> bool {
     source.path == "src/main.rs" || source.module.first().is_some_and(|m| m == "cli")
 }
 
-/// Modules that are compiled only for tests, in separate files.
+/// Returns whether `source` is a module that is compiled only for tests, in a separate file.
 fn is_test(source: &Source) -> bool {
     source.module.iter().any(|m| m == "tests" || m == "scene")
 }
@@ -117,7 +117,8 @@ fn documented_layers_are_the_layers() {
     assert_eq!(named, LAYERS[..LAYERS.len() - 1], "src/lib.rs");
 }
 
-/// For each module with children: which child uses which other, and where first.
+/// For each module with children: each pair of children of which the first uses the second, and the first place of such
+/// a use.
 type Edges = BTreeMap<String, BTreeMap<(String, String), String>>;
 
 fn sibling_edges(sources: &[Source]) -> Edges {
@@ -129,7 +130,7 @@ fn sibling_edges(sources: &[Source]) -> Edges {
             if common == 0 || common == source.module.len() || common == path.len() {
                 continue;
             }
-            // A path that is not a module belongs to the parent.
+            // A path that names no module names an item of the parent.
             if modules.contains(&path[..=common]) {
                 let edge = (source.module[common].clone(), path[common].clone());
                 let siblings = edges.entry(path[..common].join("::")).or_default();
@@ -140,7 +141,7 @@ fn sibling_edges(sources: &[Source]) -> Edges {
     edges
 }
 
-/// Returns the siblings that `from` reaches, with the first path found.
+/// Returns the siblings that `from` uses, directly or through others, each with the chain of uses that was found first.
 fn reach(edges: &BTreeMap<(String, String), String>, from: &str) -> BTreeMap<String, Vec<String>> {
     let mut ways: BTreeMap<String, Vec<String>> = BTreeMap::new();
     let mut open = vec![vec![from.to_owned()]];
@@ -209,7 +210,7 @@ fn platform_calls(source: &Source) -> Vec<String> {
     let mut found = Vec::new();
     for name in PLATFORM {
         for form in [format!(".{name}("), format!("f32::{name}"), format!("f64::{name}")] {
-            // A method may be preceded by anything; the last name of a path must be complete.
+            // A method call ends with `(`; a path must not continue with a longer name.
             let whole =
                 |at: usize| !source.code[at + form.len()..].starts_with(|c: char| c.is_alphanumeric() || c == '_');
             let at = source.code.match_indices(&form).map(|(at, _)| at).filter(|&at| form.ends_with('(') || whole(at));
@@ -277,7 +278,7 @@ fn no_module_has_a_vague_name() {
     assert_none(vague.map(|s| format!("{}:1", s.path)).collect(), "modules that could hold anything");
 }
 
-/// Crates whose sums have another order, or are fused, on another CPU by default.
+/// Crates that by default compute sums in another order, or with fused operations, on another CPU.
 const OF_THE_PROCESSOR: [&str; 3] = ["matrixmultiply", "gemm", "blas-src"];
 
 #[test]

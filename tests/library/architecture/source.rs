@@ -1,4 +1,4 @@
-//! The sources for the checks: without comments, texts and tests, with all lines.
+//! The sources for the checks: comments, string literals and tests are blanked, and lines keep their numbers.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -10,9 +10,9 @@ pub struct Source {
     /// Module path from the crate's root: `["align", "features", "sift", "extrema"]`; empty for the crate's root and
     /// `main`.
     pub module: Vec<String>,
-    /// Number of all its lines.
+    /// Number of lines of the file.
     pub lines: usize,
-    /// The code without comments, texts and tests.
+    /// The code, in which comments, string literals and tests are blanked.
     pub code: String,
     /// The string literals outside of tests, as written.
     pub texts: Vec<String>,
@@ -27,19 +27,20 @@ impl Source {
         }
         let (blanked, literals) = blank(text);
         let code = without_tests(&blanked);
-        // Blanking keeps the number of characters, so the marks of literals outside of tests are where they were.
+        // Blanking keeps the number of characters, so the marks of literals outside of tests are still at their
+        // positions.
         let marks: Vec<char> = code.chars().collect();
         let texts = literals.into_iter().filter(|(at, _)| marks[*at] == MARK).map(|(_, text)| text).collect();
         let code = code.replace(MARK, " ");
         Source { path: path.to_owned(), module, lines: text.lines().count(), code, texts }
     }
 
-    /// `file:line` of the byte `at` of the code.
+    /// Returns `file:line` of the byte `at` of the code.
     pub fn place(&self, at: usize) -> String {
         format!("{}:{}", self.path, 1 + self.code[..at].matches('\n').count())
     }
 
-    /// Where `word` stands in the code, not as a part of a longer word.
+    /// Returns the positions of `word` in the code, except where it is part of a longer word.
     pub fn words<'a>(&'a self, word: &'a str) -> impl Iterator<Item = usize> + 'a {
         let part = |c: char| c.is_alphanumeric() || c == '_';
         self.code.match_indices(word).map(|(at, _)| at).filter(move |&at| {
@@ -48,7 +49,8 @@ impl Source {
         })
     }
 
-    /// Absolute module paths that the code names by way of `crate::`, `self::` or `super::`, and where.
+    /// Returns the absolute module paths that the code names by `crate::`, `self::` or `super::`, each with its
+    /// position.
     pub fn paths(&self) -> Vec<(Vec<String>, usize)> {
         let mut found = Vec::new();
         for root in ["crate", "self", "super"] {
@@ -76,7 +78,8 @@ impl Source {
     }
 }
 
-/// Reads one path or a tree of them, `a::{b, c::d}`, and gives what is left of the text.
+/// Adds to `found` the path at the start of `text`, or all paths of a tree such as `a::{b, c::d}`, relative to `base`.
+/// Returns the rest of the text.
 fn tree<'a>(text: &'a str, base: &[String], found: &mut Vec<Vec<String>>) -> &'a str {
     let text = text.trim_start();
     if let Some(mut rest) = text.strip_prefix('{') {
@@ -162,7 +165,7 @@ fn blank(text: &str) -> (String, Vec<(usize, String)>) {
     (out, literals)
 }
 
-/// The number of `#` where a raw string begins.
+/// Returns the number of `#` of the raw string at the start of `text`, if there is one; `before` is the text before it.
 fn raw_string(text: &str, before: &str) -> Option<usize> {
     let rest = text.strip_prefix('r')?;
     let hashes = rest.len() - rest.trim_start_matches('#').len();
@@ -170,7 +173,7 @@ fn raw_string(text: &str, before: &str) -> Option<usize> {
     (begins && rest[hashes..].starts_with('"')).then_some(hashes)
 }
 
-/// Where the literal at the beginning of `text` ends.
+/// Returns the position after the literal at the start of `text`.
 fn quoted(text: &str, quote: char) -> usize {
     let mut escaped = false;
     for (i, c) in text.char_indices().skip(1) {
@@ -184,7 +187,7 @@ fn quoted(text: &str, quote: char) -> usize {
     text.len()
 }
 
-/// The code with everything under `#[cfg(test)]` blanked: to the end of the block, or to the semicolon.
+/// Returns `code` in which every item with `#[cfg(test)]` is blanked, to the end of its block or to its semicolon.
 fn without_tests(code: &str) -> String {
     let mut out = String::with_capacity(code.len());
     let mut rest = code;
@@ -206,7 +209,7 @@ fn without_tests(code: &str) -> String {
     out + rest
 }
 
-/// All files of `src/` that are not tests themselves, by name.
+/// Returns all files of `src/`, sorted by path.
 pub fn sources() -> Vec<Source> {
     let package = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut files = Vec::new();

@@ -1,4 +1,4 @@
-//! The percentiles, and the search against motions that are known and against the textbook's loop.
+//! Tests of the percentiles, and of the search: against known motions, and against Ward's loop as printed.
 
 use super::*;
 use crate::align::bitmaps::MtbOptions;
@@ -18,11 +18,13 @@ fn histogram(values: &[(u8, usize)]) -> Histogram {
 
 #[test]
 fn a_level_is_the_least_that_enough_pixels_do_not_exceed() {
-    // 0, 1, ..., 99: of a hundred pixels the 17th, 50th and 83rd in order.
+    // The values are 0 to 99. The 17th, 50th and 83rd percentiles are those of the 17th, 50th and 83rd pixel in
+    // ascending order.
     let ramp: Vec<(u8, usize)> = (0..100).map(|v| (v, 1)).collect();
     let levels = [Percentile::new(17), Percentile::MEDIAN, Percentile::new(83)].map(|p| histogram(&ramp).value_at(p));
     assert_eq!(levels, [16, 49, 82]);
-    // A tie goes to the lower level, one pixel more tips it.
+    // If half of the pixels have each of two values, the median is the lower value; with one more pixel of the upper
+    // value, it is the upper one.
     assert_eq!(histogram(&[(10, 50), (20, 50)]).value_at(Percentile::MEDIAN), 10);
     assert_eq!(histogram(&[(10, 50), (20, 51)]).value_at(Percentile::MEDIAN), 20);
     for end in [0, 255] {
@@ -40,7 +42,8 @@ fn another_percentile_is_used_if_the_median_is_clipped_or_black() {
     let with = |end: u8| histogram(&[&spread[..], &[(end, 600)]].concat());
     let (burnt, black) = (with(255), with(0));
     assert_eq!(common_percentile(&normal, &normal, 4), Percentile::MEDIAN);
-    // The threshold is off the end that most crowd at, and leaves some tenths of all on either side.
+    // The threshold is not the value that most pixels have, and its percentile leaves at least 15 % of the pixels on
+    // either side.
     let parts = |h: &Histogram, p: Percentile| (40..140).contains(&h.value_at(p)) && (15..=85).contains(&p.percent());
     for crowded in [&burnt, &black] {
         let own = common_percentile(crowded, crowded, 4);
@@ -53,8 +56,8 @@ fn another_percentile_is_used_if_the_median_is_clipped_or_black() {
     assert_eq!(common_percentile(&normal, &normal, 4), Percentile::MEDIAN);
 }
 
-/// The dark and the bright photograph of a scene, the second under `transform`: two stops apart, the second clipped in
-/// its lights.
+/// Returns a dark and a bright photograph of a scene. The second is under `transform`, two stops brighter, and its
+/// lights are clipped.
 fn pair(size: (usize, usize), transform: &Transform) -> (GreyPyramid, GreyPyramid) {
     let take = |transform: &Transform, ev| GreyPyramid::new(Scene::new(5).photograph(size, transform, Shot::at(ev)));
     (take(&Transform::Identity, -1.0), take(transform, 1.0))
@@ -70,7 +73,8 @@ fn finds_shift_and_rotation_between_exposures() {
     for transform in [shift(13.0, -7.0), rigid(0.0, 0.0, 1.3), rigid(-21.4, 9.7, -2.2)] {
         let Transform::Rigid { dx, dy, angle } = transform else { unreachable!() };
         let motion = found((768, 512), &transform);
-        // 0.01 deg move the rim at 256 px by 0.045 px. An edge pixel in 100 measures to some tenths of a pixel: 4000 of them to 0.01 px.
+        // One pixel in 100, so 4000 in all, is at an edge, and measures the motion to some tenths of a pixel. All of
+        // them together measure it to 0.01 px. An angle of 0.01 degrees moves the rim, at 256 px, by 0.045 px.
         assert!((motion.angle - angle).to_degrees().abs() < 0.01, "{motion:?} for {transform:?}");
         assert!((motion.dx - dx).abs() < 0.1 && (motion.dy - dy).abs() < 0.1, "{motion:?} for {transform:?}");
     }
@@ -96,8 +100,8 @@ fn rotations_down_to_a_hundredth_of_a_degree_are_found() {
         ratios.push(found.error_px / error);
     }
     assert!(worst < 0.1, "{worst} px");
-    // The estimate is of a root mean square: the error itself is within a third and three times of it in four cases of
-    // five.
+    // The estimate is a root mean square, so single errors differ from it: in about four cases of five, estimate /
+    // error is in 0.33..4.
     let fair = ratios.iter().filter(|r| (0.33..4.0).contains(*r)).count();
     assert!(fair >= 7, "{ratios:?}");
 }
@@ -107,7 +111,8 @@ fn motion_outside_the_model_is_part_of_the_error() {
     let take =
         |transform: &Transform, ev| GreyPyramid::new(Scene::new(6).photograph((512, 384), transform, Shot::at(ev)));
     let reference = take(&Transform::Identity, 0.0);
-    // A picture larger by 0.6 %: a pixel at the middle of the edge, 1.1 px root mean square.
+    // The picture is enlarged by 0.6 %. This moves the middle of the upper edge by 1.15 px, and a pixel by 1.1 px (root
+    // mean square).
     let (cx, cy, zoom) = (255.5, 191.5, 1.006);
     let larger = nalgebra::Matrix3::new(zoom, 0.0, cx * (1.0 - zoom), 0.0, zoom, cy * (1.0 - zoom), 0.0, 0.0, 1.0);
     let found = search(&reference, &take(&Transform::Homography(larger), 1.0), 0, &MtbOptions::default());
@@ -117,20 +122,21 @@ fn motion_outside_the_model_is_part_of_the_error() {
 
 #[test]
 fn a_smooth_slope_does_not_pull() {
-    // All is brighter at the top, as in fog; the frame is clipped in its upper third and cut elsewhere by its own
-    // median. Small things move.
+    // The scene becomes brighter towards the top, as in fog, and has little other contrast. The frame is clipped in its
+    // upper third.
     let scene = Scene::new(9);
     let fog = |x: f64, y: f64| 1.6 * (-y / 120.0).exp() * scene.radiance(x, y).powf(0.3);
     let truth = shift(5.3, -11.6);
     let take = |transform: &Transform, ev| GreyPyramid::new(photograph((512, 384), transform, Shot::at(ev), fog));
     let motion = search(&take(&Transform::Identity, 0.0), &take(&truth, 2.0), 0, &MtbOptions::default()).motion;
-    // A code is 3 px on the slope: the cut is right to a tenth of one, though it can only be made between codes.
+    // On the slope, 3 px differ by one code value. A threshold can only be between code values; nevertheless the motion
+    // is right to a tenth of a code value, which is 0.3 px.
     assert!((motion.dx - 5.3).abs() < 0.3 && (motion.dy + 11.6).abs() < 0.3, "{motion:?}");
 }
 
 #[test]
 fn a_large_picture_is_searched_at_half_its_size() {
-    // 4.4 MP, of odd size: the centre about which it turns is not that of its half.
+    // The picture has 4.4 MP and odd sides: its centre of rotation is not the centre of the level of half the size.
     let truth = rigid(-13.37, 21.8, 1.7);
     let take =
         |transform: &Transform, ev| GreyPyramid::new(Scene::new(12).photograph((2301, 1901), transform, Shot::at(ev)));
@@ -165,8 +171,8 @@ fn rotation_is_zero_if_not_allowed() {
     assert!(search(&a, &b, 0, &MtbOptions::default()).motion.angle > 0.9f64.to_radians());
 }
 
-/// Ward's loop as printed, pixel by pixel: for each shift, the share of the pixels that count which differ; 1 where
-/// under a tenth count.
+/// Returns, for each shift, the share of the compared pixels that differ, by Ward's loop as printed, pixel by pixel; 1
+/// where less than a tenth of the pixels are compared.
 fn textbook(a: &Plane<u8>, b: &Plane<u8>, reach: i64, tolerance: u8) -> Vec<(f64, i64, i64)> {
     let median = |p: &Plane<u8>| {
         let mut sorted = p.as_slice().to_vec();
@@ -197,7 +203,8 @@ fn textbook(a: &Plane<u8>, b: &Plane<u8>, reach: i64, tolerance: u8) -> Vec<(f64
 
 #[test]
 fn the_packed_search_is_the_textbooks() {
-    // 75 px: more than a word, and no multiple of one. Too small for a second level.
+    // A width of 75 px is more than a word of 64 bits, and no multiple of it. The picture is too small for a second
+    // level.
     let take = |transform: &Transform, ev| Scene::new(8).photograph((75, 60), transform, Shot::at(ev));
     for (dx, dy) in [(0.0, 0.0), (4.0, -3.0), (-9.0, 7.0)] {
         let (a, b) = (take(&Transform::Identity, 0.0), take(&shift(dx, dy), 1.0));
@@ -240,8 +247,8 @@ fn rivals_are_the_periods_of_a_facade() {
     }
 }
 
-/// All shifts of 15 % of 65,500 px both ways would be 386 million, of 32 bytes each; photographs of 3:1 are searched as
-/// far as ever.
+/// In a strip of 65,500 px, all shifts of up to 15 % of its length along both axes would be 386 million, of 32 bytes
+/// each. The search of such strips is limited, but not that of photographs of 3:1.
 #[test]
 fn strips_are_searched_within_bounds() {
     let pair = |width: usize, height: usize| {

@@ -1,10 +1,10 @@
 //! Common parts of the robust estimators: options, random samples, and the inliers of a homography.
 //!
-//! In: pairs of points, many of them wrong. Out: [`Consensus`]. Cost: one fit for each trial. Source: Fischler & Bolles,
-//! CACM 24(6), 1981.
+//! In: pairs of points, many of them wrong. Out: [`Consensus`]. Cost: one fit for each trial. Source: Fischler &
+//! Bolles, CACM 24(6), 1981.
 //!
-//! Trial *i* draws its four pairs from a counter-based generator of (seed, *i*), so the result is the same on any
-//! machine.
+//! Trial *i* draws its four pairs with a random generator that depends only on the seed and *i*, so the result is the
+//! same on any machine.
 
 use crate::align::features::robust::homography::{PointPair, fit};
 use crate::align::transform::map;
@@ -35,18 +35,19 @@ impl Default for RansacOptions {
 pub struct Consensus {
     /// Reference pixel -> frame pixel.
     pub homography: Matrix3<f64>,
-    /// Ascending indices of the pairs within the estimator's limit: for RANSAC its threshold.
+    /// Indices, ascending, of the pairs whose distance is within the estimator's limit: the threshold of RANSAC, or the
+    /// radius of LMedS.
     pub inliers: Vec<usize>,
     /// Root mean square distance of the inliers from their predicted positions, in pixels.
     pub rms: f64,
 }
 
 impl Consensus {
-    /// The consensus of `homography`, with the pairs whose squared distance is at most `limit`; none for fewer than five
-    /// inliers.
+    /// Returns the consensus of `homography`, whose inliers are the pairs with a squared distance of at most `limit`;
+    /// none for fewer than five inliers.
     pub(crate) fn new(pairs: &[PointPair], homography: Matrix3<f64>, limit: f64) -> Option<Self> {
         let inliers = inliers(pairs, &homography, limit);
-        // Any four pairs determine a homography, and are its inliers.
+        // Any four pairs determine a homography of which they are inliers, so four inliers prove nothing.
         if inliers.len() < 5 {
             return None;
         }
@@ -55,28 +56,28 @@ impl Consensus {
     }
 }
 
-/// Squared distance of the pair's second point from the first one mapped by `h`, in pixels squared.
+/// Returns the squared distance between the pair's second point and its first point mapped by `h`, in pixels squared.
 pub fn distance_squared(h: &Matrix3<f64>, pair: &PointPair) -> f64 {
     let (u, v) = map(h, pair.0[0], pair.0[1]);
     (u - pair.1[0]) * (u - pair.1[0]) + (v - pair.1[1]) * (v - pair.1[1])
 }
 
-/// The homography of the four pairs drawn by trial `trial`; none if no camera can produce such pairs.
+/// Returns the homography of the four pairs drawn by trial `trial`; none if no camera can produce such pairs.
 pub(crate) fn guess(pairs: &[PointPair], seed: u64, trial: u64) -> Option<Matrix3<f64>> {
     let four = draw(seed, trial, pairs.len()).map(|i| pairs[i]);
     same_handed(&four).then(|| fit(&four, None))?
 }
 
-/// Indices of the pairs whose squared distance under `h` is at most `limit`.
+/// Returns the indices of the pairs whose squared distance under `h` is at most `limit`.
 pub(crate) fn inliers(pairs: &[PointPair], h: &Matrix3<f64>, limit: f64) -> Vec<usize> {
     (0..pairs.len()).filter(|&i| distance_squared(h, &pairs[i]) <= limit).collect()
 }
 
-/// Number of trials needed to draw four of the `right` pairs among `all` with the required probability p, at most
-/// `options.max_trials`.
+/// Returns the number of trials of which, with probability p (`options.confidence`), at least one draws four correct
+/// pairs, if `right` of `all` pairs are correct; at most `options.max_trials`.
 ///
-/// It is ln(1 - p) / ln(1 - q). A single trial succeeds with probability q = C(right, 4) / C(all, 4), as pairs are drawn
-/// without replacement.
+/// The number is ln(1 - p) / ln(1 - q), where q = C(right, 4) / C(all, 4) is the probability that a single trial draws
+/// four correct pairs; pairs are drawn without replacement.
 pub(crate) fn trials_for(right: usize, all: usize, options: &RansacOptions) -> u64 {
     let all_four: f64 = (0..4).map(|i| right.saturating_sub(i) as f64 / (all - i) as f64).product();
     // Infinite or NaN for q = 0 or p = 1; the comparison is then false.
@@ -94,7 +95,7 @@ fn same_handed(four: &[PointPair; 4]) -> bool {
     })
 }
 
-/// Four different indices below `n`, determined by the seed and the number of the trial.
+/// Returns four different indices below `n`, determined by the seed and the number of the trial.
 fn draw(seed: u64, trial: u64, n: usize) -> [usize; 4] {
     let mut four = [0; 4];
     let mut counter = 0;
@@ -121,7 +122,8 @@ pub(crate) mod tests {
         random(99, i, k) as f64 / u64::MAX as f64 - 0.5
     }
 
-    /// `n` pairs, the first `wrong` of them random; the others have an error of up to `sigma` px along each axis.
+    /// Returns `n` pairs. The first `wrong` are random; the others follow `H` with an error of up to `sigma` px along
+    /// each axis.
     pub(crate) fn pairs(n: u64, wrong: u64, sigma: f64) -> Vec<PointPair> {
         (0..n)
             .map(|i| {
@@ -150,14 +152,15 @@ pub(crate) mod tests {
     fn trials_are_those_of_draws_without_replacement() {
         let options = RansacOptions { max_trials: u64::MAX, ..RansacOptions::default() };
         for (right, all) in [(5, 10), (6, 9), (8, 20), (300, 500)] {
-            // The number of ordered draws of four.
+            // The number of ordered draws of four from `n`.
             let ways = |n: usize| (n - 3..=n).product::<usize>() as f64;
             let hit = ways(right) / ways(all);
             let trials = trials_for(right, all, &options) as f64;
             let miss = |trials: f64| libm::pow(1.0 - hit, trials);
             assert!(miss(trials) <= 1e-4 * (1.0 + 1e-9) && miss(trials - 1.0) > 1e-4, "{right} of {all}: {trials}");
         }
-        // Half of ten: 5 / 210 of the draws succeed, not 1 / 16 as with replacement.
+        // If five of ten are correct, C(5, 4) / C(10, 4) = 5 / 210 of the draws succeed, not 1 / 16 as with
+        // replacement.
         assert_eq!(trials_for(5, 10, &options), 383);
         assert_eq!((trials_for(10, 10, &options), trials_for(3, 10, &options)), (1, u64::MAX));
         assert_eq!(trials_for(3, 10, &RansacOptions::default()), 3000);

@@ -18,27 +18,29 @@ use nalgebra::Matrix3;
 const WITHIN: f64 = 2.5;
 /// Least standard deviation, in pixels: no keypoint is more precise.
 const LEAST_SIGMA: f64 = 0.02;
-/// Largest radius of the inliers, in RANSAC thresholds: it is larger only if more than half of the pairs are wrong.
+/// Largest radius of the inliers, in units of RANSAC's threshold. The radius is larger only if more than half of the
+/// pairs are wrong.
 const MOST_THRESHOLDS: f64 = 2.0;
 /// Largest number of refits; usually two are enough.
 const MOST_REFITS: usize = 10;
 
-/// The homography with the least median of squared distances, refitted to its inliers; none if more than half of the
-/// pairs are wrong.
+/// Returns the homography with the least median of squared distances, refitted to its inliers; none if more than half
+/// of the pairs are wrong.
 ///
-/// The threshold of `options` is only used to detect that; it does not limit the distance of single pairs.
+/// The threshold of `options` is only used to detect that more than half are wrong; it does not limit the distance of
+/// single pairs.
 pub fn search(pairs: &[PointPair], options: &RansacOptions) -> Option<Consensus> {
     if pairs.len() < 5 {
         return None;
     }
-    // The median needs a majority of correct pairs.
+    // Enough trials even if just over half of the pairs are correct, which the median requires.
     let trials = trials_for(pairs.len() / 2 + 1, pairs.len(), options);
     let (median, mut h) = (0..trials)
         .filter_map(|trial| {
             let h = guess(pairs, options.seed, trial)?;
             Some((median_of_squares(pairs, &h), h))
         })
-        // The first of equal medians.
+        // Of equal medians, the first is kept.
         .reduce(|best, other| if other.0 < best.0 { other } else { best })?;
     let radius = WITHIN * scale(median, pairs.len()).max(LEAST_SIGMA);
     if radius >= MOST_THRESHOLDS * options.threshold {
@@ -65,9 +67,10 @@ pub fn search(pairs: &[PointPair], options: &RansacOptions) -> Option<Consensus>
     Consensus::new(pairs, h, limit)
 }
 
-/// Standard deviation of the correct pairs, from the median of squared distances (1987, chapter 5, eq. 1.3).
+/// Returns the standard deviation of the correct pairs' distances, from the median of all squared distances (Rousseeuw
+/// & Leroy 1987, chapter 5, eq. 1.3).
 ///
-/// It is exact for normal residuals along one axis, and corrected for small numbers of pairs.
+/// 1.4826 is exact for normal residuals along one axis; the factor in parentheses corrects for small numbers of pairs.
 fn scale(median: f64, pairs: usize) -> f64 {
     1.4826 * (1.0 + 5.0 / (pairs as f64 - 4.0)) * median.sqrt()
 }
@@ -88,7 +91,8 @@ mod tests {
             let found = search(&pairs(n, wrong, 0.5), &RansacOptions::default()).unwrap();
             let right = found.inliers.iter().filter(|&&i| i as u64 >= wrong).count() as u64;
             assert!(right == n - wrong && found.inliers.len() as u64 <= n - wrong + 2, "{right} of {n} - {wrong}");
-            // As for RANSAC: 0.26 px at the corners for 60 correct pairs, 0.34 px for 36; the limit is three times that.
+            // As derived in the tests of `ransac`, the error at the corners is 0.26 px for 60 correct pairs and 0.34 px
+            // for 36; the limit is three times that.
             for (x, y) in [(0.0, 0.0), (2000.0, 0.0), (2000.0, 1500.0), (0.0, 1500.0)] {
                 let ((a, b), (c, d)) = (map(&found.homography, x, y), map(&H, x, y));
                 assert!((a - c).hypot(b - d) < 1.0, "{n} {wrong}");
@@ -98,12 +102,13 @@ mod tests {
 
     #[test]
     fn its_radius_follows_the_scatter() {
-        // RANSAC's threshold is the same in both cases and would accept all of these; the median differs.
+        // With either scatter, RANSAC's threshold would accept all correct pairs; the radius of LMedS follows the
+        // median.
         let rms = |sigma| search(&pairs(200, 60, sigma), &RansacOptions::default()).unwrap().rms;
         let (fine, coarse) = (rms(0.1), rms(0.8));
         assert!((6.0..10.0).contains(&(coarse / fine)), "{fine} {coarse}");
         let mut off = pairs(200, 0, 0.1);
-        // An error of 2 px: an inlier for RANSAC, but twenty times the scatter.
+        // This pair has an error of 2 px: an inlier for RANSAC, but twenty times the scatter.
         off[7].1[0] += 2.0;
         assert!(!search(&off, &RansacOptions::default()).unwrap().inliers.contains(&7));
     }
@@ -128,7 +133,7 @@ mod tests {
         let list = pairs(120, 40, 0.5);
         let by = |seed| search(&list, &RansacOptions { seed, ..RansacOptions::default() }).unwrap();
         assert_eq!(by(3), by(3));
-        // Other samples lead to nearly the same inliers, as the refit does not depend on its start.
+        // Another seed leads to nearly the same inliers, because the refit hardly depends on its start.
         assert!(by(3).inliers.len().abs_diff(by(4).inliers.len()) <= 2);
     }
 

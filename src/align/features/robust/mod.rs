@@ -16,9 +16,10 @@ pub use consensus::{Consensus, RansacOptions, distance_squared};
 #[serde(rename_all = "kebab-case")]
 #[strum(serialize_all = "kebab-case")]
 pub enum RobustMethod {
-    /// The transform with the most inliers; works with up to four fifths wrong matches.
+    /// The transform that the most matches agree with; up to four fifths of the matches may be wrong.
     #[default]
     Ransac,
-    /// The transform with the least median of the squared errors. Needs no threshold, but more than half of the matches must be correct.
+    /// The transform with the least median of the squared errors. Needs no threshold, but more than half of the matches
+    /// must be correct.
     Lmeds,
 }

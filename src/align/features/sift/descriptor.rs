@@ -8,11 +8,11 @@ use crate::simd::{Loops, vectorised};
 use std::f32::consts::PI;
 use std::ops::Range;
 
-/// Cells (histograms) along each side.
+/// Number of cells (histograms) along each side of the descriptor.
 const CELLS: usize = 4;
-/// Directions per cell.
+/// Number of directions per cell.
 const BINS: usize = 8;
-/// Bins of a cell during accumulation: the additional last one is the first again.
+/// Number of bins of a cell during accumulation: the last one is additional, and is added to the first at the end.
 const CELL_BINS: usize = BINS + 1;
 /// Number of bins in a row of cells during accumulation, with an additional cell at each end.
 const ROW: usize = (CELLS + 2) * CELL_BINS;
@@ -20,21 +20,22 @@ const ROW: usize = (CELLS + 2) * CELL_BINS;
 const CELL: f64 = 3.0;
 /// Largest entry of the normalised descriptor: large gradients may be due to the illumination.
 const CLAMP: f32 = 0.2;
-/// Length of the stored descriptor.
+/// Euclidean length of the stored descriptor.
 pub(in crate::align::features) const LENGTH: f32 = 512.0;
 
-/// The descriptor of `extremum` relative to the direction `angle`.
+/// Returns the descriptor of `extremum` relative to the direction `angle`.
 pub(super) fn describe(level: &Plane<f32>, extremum: &Extremum, angle: f32) -> SiftDescriptor {
     let cell = CELL * extremum.sigma;
     let (sin, cos) = ((libm::sin(angle.into()) / cell) as f32, (libm::cos(angle.into()) / cell) as f32);
-    // The outermost cells receive samples up to half a cell beyond them, sqrt(2) times as far at the corners.
+    // Samples up to half a cell beyond the outermost cells contribute; those at the corners are sqrt(2) times as far
+    // from the centre.
     let reach = cell * std::f64::consts::SQRT_2 * (CELLS as f64 + 1.0) * 0.5;
     let half = CELLS as f32 / 2.0;
     // The Gaussian window has a standard deviation of half the descriptor's width, 2 cells.
     let falloff = (0.5 / (f64::from(half) * f64::from(half) * cell * cell)) as f32;
     let Surroundings { columns, rows, weights_x, weights_y } = Surroundings::new(level, extremum, reach, falloff);
     let (mut gradients, mut samples) = (Gradients::default(), Samples::default());
-    // The additional cells and directions make tests in `Samples::accumulate` unnecessary.
+    // With the additional cells and directions, `Samples::accumulate` needs no tests for the ends.
     let mut histogram = [0.0f32; (CELLS + 2) * ROW];
     for (y, weight_y) in rows.zip(weights_y) {
         let dy = (y as f64 - extremum.y) as f32;
@@ -83,7 +84,8 @@ impl Samples {
         }
     }
 
-    /// Adds every sample to two rows, two cells and two directions; the last bin is ROW + CELL_BINS + 1 after the first.
+    /// Adds every sample to eight bins: those of two rows, two columns and two directions. The last of these is ROW +
+    /// CELL_BINS + 1 after the first.
     fn accumulate(&self, histogram: &mut [f32; (CELLS + 2) * ROW]) {
         let places = self.at.iter().zip(&self.right).zip(&self.down).zip(&self.turned).zip(&self.weight);
         for ((((at, fc), fr), fo), weight) in places {
@@ -109,7 +111,7 @@ impl Samples {
 struct SampleRow<'a> {
     /// Column of the keypoint.
     x: f64,
-    /// Distance of the row below the keypoint, in pixels.
+    /// Distance of the row from the keypoint, positive downwards, in pixels.
     dy: f32,
     /// Sine and, below, cosine of the keypoint's direction, divided by the width of a cell in pixels, to rotate and
     /// scale offsets.
@@ -141,11 +143,12 @@ impl Loops for SampleRow<'_> {
         let first = first as i32;
         for i in 0..n {
             let dx = (f64::from(first + i as i32) - x) as f32;
-            // Position in cells along and across the keypoint's direction; 0 is one cell before the first.
+            // Position in cells, along and across the keypoint's direction; 0 is the centre of the additional cell
+            // before the first.
             let (column, row) = (cos * dx + sin * dy + half + 0.5, cos * dy - sin * dx + half + 0.5);
             let is_inside = !((column <= 0.0) | (row <= 0.0) | (column >= last) | (row >= last));
             let turn = (direction[i] - angle) * (BINS as f32 / (2.0 * PI)) + 2.0 * BINS as f32;
-            // For samples inside all three are positive, so the conversion rounds down.
+            // For samples inside, `column`, `row` and `turn` are positive, so that the conversion rounds down.
             let (c, r, o) = (column as i32, row as i32, turn as i32);
             (right[i], down[i], turned[i]) = (column - c as f32, row - r as f32, turn - o as f32);
             // Samples outside add 0 to the first bins.
@@ -155,7 +158,7 @@ impl Loops for SampleRow<'_> {
     }
 }
 
-/// The columns of a row inside the rotated square of half side `side`, and one more at each end.
+/// Returns the columns of a row that are inside the rotated square of half side `side`, and one more at each end.
 ///
 /// The centre of the square is at column `x`, `dy` pixels above the row. `side` is in the unit by which sine and cosine
 /// are divided.
@@ -200,7 +203,7 @@ mod tests {
                 };
                 let inside: Vec<usize> = (0..61).filter(|&x| is_inside(x)).collect();
                 assert!(inside.iter().all(|x| found.contains(x)), "{k} {dy}: {found:?} lacks {inside:?}");
-                // One more at each end, and one for rounding.
+                // At each end one more column, and another one by rounding.
                 assert!(found.len() <= inside.len() + 4, "{k} {dy}: {found:?} for {inside:?}");
             }
         }

@@ -7,7 +7,7 @@ use crate::plane::{Plane, map_bands};
 use crate::simd::{Loops, at_least, at_most, vectorised};
 use nalgebra::Vector3;
 
-/// An extremum of D, in pixels of its octave.
+/// An extremum of the difference of Gaussians D; `x`, `y` and `sigma` are in pixels of its octave.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Extremum {
     pub(super) octave: usize,
@@ -22,12 +22,12 @@ pub(super) struct Extremum {
 }
 
 impl Extremum {
-    /// The Gaussian at its scale, from which its orientation and descriptor are computed.
+    /// Returns the Gaussian image at the scale of the extremum, from which its orientation and descriptor are computed.
     pub(super) fn level<'a>(&self, space: &'a ScaleSpace) -> &'a Plane<f32> {
         &space.octaves[self.octave].gaussians[self.interval]
     }
 
-    /// The extremum as a keypoint of the image.
+    /// Returns the extremum as a keypoint, in pixels of the image.
     pub(super) fn keypoint(&self, space: &ScaleSpace, angle: f32) -> Keypoint {
         let step = space.step(self.octave);
         Keypoint {
@@ -46,9 +46,10 @@ const BORDER: usize = 5;
 /// Largest number of fits, each at the sample nearest to the previous result.
 const MOST_MOVES: usize = 5;
 
-/// All extrema that have enough contrast and are no edges, by octave, interval, row, column.
+/// Returns all extrema that have enough contrast and are not on an edge, ordered by octave, interval, row, column.
 pub(super) fn find(space: &ScaleSpace, options: &SiftOptions) -> Vec<Extremum> {
-    // The fit adds at most about half of a sample's value to it: weaker samples cannot reach the required contrast.
+    // The fit changes the value of a sample by at most about a half of it, so samples weaker than this cannot reach the
+    // required contrast.
     let least = (0.5 * options.contrast) as f32;
     let mut found = Vec::new();
     for (index, octave) in space.octaves.iter().enumerate() {
@@ -78,8 +79,8 @@ pub(super) fn find(space: &ScaleSpace, options: &SiftOptions) -> Vec<Extremum> {
     found
 }
 
-/// Marks where D is at least `least` and no smaller than its four neighbours in the row and column, or the same below
-/// zero: only these few samples are compared with all their neighbours.
+/// Marks the samples where D is at least `least` and no smaller than at the four neighbours in row and column, or at
+/// most -`least` and no larger than there. Only these few samples are compared with all their neighbours later.
 struct Candidates<'a> {
     up: &'a [f32],
     here: &'a [f32],
@@ -141,9 +142,10 @@ fn find_in_row(
     }
 }
 
-/// Fits a quadratic to D and moves to the sample nearest to its extremum (section 4, eq. 2 and 3).
+/// Fits a quadratic to D, and moves to the sample nearest to the extremum of the quadratic, until that is the current
+/// sample (section 4, eq. 2 and 3).
 ///
-/// Returns the interval, x, y, the offset from them and D at the extremum.
+/// Returns interval, x and y of the sample, the offset of the extremum from this sample, and D at the extremum.
 fn localise(
     octave: &Octave,
     mut interval: usize,

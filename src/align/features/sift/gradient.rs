@@ -9,9 +9,9 @@ use std::sync::LazyLock;
 /// Gradients of a range of one row; the buffers are reused for the next row.
 #[derive(Debug, Default)]
 pub(super) struct Gradients {
-    /// Lengths.
+    /// The length of each gradient.
     pub(super) length: Vec<f32>,
-    /// Directions from +x towards +y, in radians.
+    /// The direction of each gradient, from +x towards +y, in radians.
     pub(super) direction: Vec<f32>,
 }
 
@@ -29,7 +29,7 @@ impl Gradients {
     }
 }
 
-/// The neighbours of each sample (left, right, above, below), and the output.
+/// Computes the gradient of each sample from its neighbours: left, right, above, below.
 struct RowGradients<'a> {
     neighbours: [&'a [f32]; 4],
     length: &'a mut [f32],
@@ -53,7 +53,8 @@ impl Loops for RowGradients<'_> {
     }
 }
 
-/// The samples around an extremum that have neighbours on all sides, and the Gaussian weights of their columns and rows.
+/// The samples around an extremum that have neighbours on all sides, and the Gaussian weights of their columns and
+/// rows.
 pub(super) struct Surroundings {
     pub(super) columns: Range<usize>,
     pub(super) rows: Range<usize>,
@@ -62,7 +63,8 @@ pub(super) struct Surroundings {
 }
 
 impl Surroundings {
-    /// The samples up to `reach` pixels from the extremum, rounded up, with weights exp(-d^2 `falloff`) along each axis.
+    /// The samples up to `reach` pixels from the extremum, rounded up, with weights exp(-d^2 `falloff`) along each
+    /// axis.
     pub(super) fn new(level: &Plane<f32>, extremum: &Extremum, reach: f64, falloff: f32) -> Self {
         let reach = libm::ceil(reach) as isize;
         let within = |centre: f64, n: usize| {
@@ -80,7 +82,7 @@ impl Surroundings {
     }
 }
 
-/// Table entries of exp(-t) per unit of t.
+/// Number of entries of the table of exp(-t) per unit of t.
 const STEPS: f32 = 256.0;
 static EXP: LazyLock<Vec<f32>> =
     LazyLock::new(|| (0..=(16.0 * STEPS) as usize).map(|i| libm::exp(-(i as f64) / f64::from(STEPS)) as f32).collect());

@@ -2,7 +2,7 @@
 //!
 //! In: a grey image. Out: its [`Features`]. Cost: five Gaussians per octave (4/3 of the pixels in all, 16/3 if the
 //! image is doubled first), then some thousand operations per keypoint. Source: Lowe, "Distinctive Image Features from
-//! Scale-Invariant Keypoints", IJCV 60(2), 2004; each submodule is one of its sections.
+//! Scale-Invariant Keypoints", IJCV 60(2), 2004; the submodules follow its sections.
 
 mod descriptor;
 mod extrema;
@@ -25,11 +25,12 @@ pub struct SiftOptions {
     pub sigma: f64,
     /// Whether to double the image first, for features of the smallest scale (section 3.3).
     pub double: bool,
-    /// Least |D| at an extremum, for grey values 0..=1 (section 4).
+    /// Least absolute value of the difference of Gaussians at an extremum, for grey values 0..=1 (section 4).
     pub contrast: f64,
     /// r: largest ratio of the principal curvatures (section 4.1).
     pub edge_ratio: f64,
-    /// Largest number of extrema kept, spread over the image; one may become several keypoints.
+    /// Largest number of extrema kept, spread over the image; an extremum with several directions becomes several
+    /// keypoints.
     pub max_keypoints: usize,
 }
 
@@ -39,7 +40,7 @@ impl Default for SiftOptions {
     }
 }
 
-/// The features of `grey`, sorted by position.
+/// Detects the features of `grey`, sorted by position.
 ///
 /// The options must be within the ranges of [`AlignOptions::validate`](crate::align::AlignOptions::validate).
 pub fn detect(grey: &Plane<u8>, options: &SiftOptions) -> Features {

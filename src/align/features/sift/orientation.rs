@@ -5,14 +5,15 @@ use super::gradient::{Gradients, Surroundings};
 use crate::plane::Plane;
 use std::f32::consts::PI;
 
-/// Bins of the histogram of directions.
+/// Number of bins of the histogram of directions.
 const BINS: usize = 36;
 /// Standard deviation of the Gaussian window, in units of the keypoint's scale.
 const WINDOW: f64 = 1.5;
 /// Least height of a peak that becomes a keypoint, relative to the highest.
 const PEAK: f32 = 0.8;
 
-/// The directions of `extremum`, in radians, -pi..=pi: the highest peaks of the histogram of gradients.
+/// Returns the directions of `extremum`, in radians, -pi..=pi: the highest peaks of the histogram of gradient
+/// directions.
 pub(super) fn assign(level: &Plane<f32>, extremum: &Extremum) -> Vec<f32> {
     let sigma = WINDOW * extremum.sigma;
     let falloff = (0.5 / (sigma * sigma)) as f32;

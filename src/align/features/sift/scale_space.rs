@@ -9,22 +9,22 @@ const CAMERA_SIGMA: f64 = 0.5;
 /// Least short side of an octave, in pixels: smaller ones have no useful extrema.
 const LEAST_SIDE: usize = 16;
 
-/// One octave: s + 3 Gaussians L.
+/// One octave, with s intervals: s + 3 Gaussian images L, each smoother than the one before it.
 ///
-/// The s + 2 differences D between them are computed on access. Storing them would double the memory and take more time
-/// than the subtraction.
+/// The s + 2 differences D of successive images are computed on access. Storing them would double the memory and take
+/// more time than the subtraction.
 pub(super) struct Octave {
     pub(super) gaussians: Vec<Plane<f32>>,
 }
 
 impl Octave {
-    /// D at column `x` of row `y`: L at `interval + 1` minus L at `interval`.
+    /// Returns D at column `x` of row `y`: L at `interval + 1` minus L at `interval`.
     #[inline]
     pub(super) fn difference(&self, interval: usize, x: usize, y: usize) -> f32 {
         self.gaussians[interval + 1].at(x, y) - self.gaussians[interval].at(x, y)
     }
 
-    /// Row `y` of D.
+    /// Computes row `y` of D at `interval`.
     pub(super) fn difference_row(&self, interval: usize, y: usize, out: &mut [f32]) {
         let (smoother, sharper) = (self.gaussians[interval + 1].row(y), self.gaussians[interval].row(y));
         for (d, (p, q)) in out.iter_mut().zip(smoother.iter().zip(sharper)) {
@@ -66,12 +66,12 @@ impl ScaleSpace {
         ScaleSpace { octaves, intervals: s, sigma, first_step: if options.double { 0.5 } else { 1.0 } }
     }
 
-    /// Size of a pixel of octave `octave` in pixels of the image.
+    /// Returns the size of a pixel of octave `octave`, in pixels of the image.
     pub(super) fn step(&self, octave: usize) -> f64 {
         self.first_step * (1u64 << octave) as f64
     }
 
-    /// Standard deviation of the Gaussian at a fractional interval, in pixels of its octave.
+    /// Returns the standard deviation of the Gaussian at a fractional interval, in pixels of its octave.
     pub(super) fn sigma_at(&self, interval: f64) -> f64 {
         self.sigma * libm::exp2(interval / self.intervals as f64)
     }

@@ -11,8 +11,9 @@ fn a_blob_is_found_at_its_place_and_scale() {
             let found = detect(&blobs(128, 120, &[(x, y, sigma, 100.0)]), &options);
             let best = found.keypoints.iter().max_by(|a, b| a.response.total_cmp(&b.response)).unwrap();
             assert!((f64::from(best.x) - x).abs() < 0.1 && (f64::from(best.y) - y).abs() < 0.1, "{best:?}");
-            // D = L(k s) - L(s) of a blob of width b, blurred already by 0.5, is largest where s^2 k = b^2 (from
-            // d/ds of 1 / (1 + s^2 / b^2) at both scales): s = b / sqrt(k) = 0.89 b.
+            // For a blob with standard deviation b, L(s) at its centre is proportional to 1 / (1 + s^2 / b^2). So |D| =
+            // |L(k s) - L(s)| is largest where k s^2 = b^2, at s = b / sqrt(k) = 0.89 b. The assumed blur of 0.5 px
+            // hardly matters.
             assert!((f64::from(best.scale) / (0.89 * sigma) - 1.0).abs() < 0.1, "{best:?} for {sigma}");
         }
     }
@@ -35,7 +36,7 @@ fn features_survive_rotation_scale_and_contrast() {
 fn a_limit_keeps_the_picture_covered() {
     let picture = texture(300, 260, 0.0, 1.0);
     let options = SiftOptions { contrast: 0.005, ..SiftOptions::default() };
-    // A round blob has several directions and is then several keypoints at one position.
+    // A round blob may have several directions, and then becomes several keypoints at one position.
     let places = |options: &SiftOptions| {
         let mut places: Vec<(f32, f32)> = detect(&picture, options).keypoints.iter().map(|k| (k.x, k.y)).collect();
         places.dedup();

@@ -3,20 +3,22 @@
 use super::integral::Integral;
 use crate::align::features::{Keypoint, SurfDescriptor};
 
-/// Cells along each side.
+/// Number of cells along each side of the descriptor.
 const CELLS: usize = 4;
-/// Samples along each side of a cell; they are one scale apart.
+/// Number of samples along each side of a cell; the keypoint's scale is their distance.
 const SAMPLES: usize = 5;
 /// Standard deviation of the Gaussian weights, in units of the keypoint's scale.
 const SIGMA: f32 = 3.3;
-/// Length of the stored descriptor. Longer ones would need entries beyond those of a signed byte more often.
+/// Euclidean length of the stored descriptor. With a larger length, more entries would exceed a signed byte and be
+/// clamped.
 pub(in crate::align::features) const LENGTH: f32 = 256.0;
 
-/// The descriptor of `point` relative to the direction `angle`: for each cell the sums of dx, |dx|, dy and |dy|.
+/// Returns the descriptor of `point` relative to the direction `angle`: for each cell the sums of dx, |dx|, dy and
+/// |dy|.
 pub(super) fn describe(integral: &Integral, point: &Keypoint, angle: f32) -> SurfDescriptor {
     let (sin, cos) = (libm::sinf(angle), libm::cosf(angle));
     let s = point.scale;
-    // Wavelets of side 2 s.
+    // The wavelets have a side of 2 s.
     let half = ((s + 0.5) as usize).max(1);
     let mut sums = [0.0f32; 4 * CELLS * CELLS];
     let side = CELLS * SAMPLES;

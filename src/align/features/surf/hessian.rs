@@ -6,7 +6,7 @@ use super::integral::Integral;
 use crate::align::features::{Keypoint, interpolation};
 use crate::plane::{Plane, map_bands};
 
-/// Filters in an octave: a maximum is at the second or the third.
+/// Number of filters in an octave: a maximum can only be at the second or the third.
 const FILTERS: usize = 4;
 /// Side of the smallest filter, in pixels.
 const SMALLEST: usize = 9;
@@ -15,9 +15,10 @@ const SMALLEST_SCALE: f64 = 1.2;
 /// Weight of Dxy, which balances the norms of the filters (equation 3).
 const BALANCE: f32 = 0.9;
 
-/// Side of filter `index` of octave `octave`: 9, 15, 21, 27; 15, 27, 39, 51; 27, 51, 75, 99; ...
+/// Returns the side of filter `index` of octave `octave`, in pixels: 9, 15, 21, 27; 15, 27, 39, 51; 27, 51, 75, 99; ...
 pub(super) fn side(octave: usize, index: usize) -> usize {
-    // The growth doubles with the octave, and the smallest filter is the second of the octave before.
+    // The growth from filter to filter doubles with each octave. The smallest filter of an octave is the second of the
+    // octave before.
     let growth = 6 << octave;
     SMALLEST + (growth - 6) + growth * index
 }
@@ -30,11 +31,12 @@ struct Responses {
     determinants: Plane<f32>,
 }
 
-/// The second derivatives xx, yy and xy at a pixel, for grey values 0..=1 and whatever the side of the filter.
+/// Returns the second derivatives xx, yy and xy at a pixel, for grey values 0..=1, divided by the area of the filter.
 fn derivatives(integral: &Integral, x: usize, y: usize, side: usize) -> [f32; 3] {
     let (lobe, half) = (side / 3, side / 2);
     let (left, right, top, bottom) = (x - half, x + half + 1, y - half, y + half + 1);
-    // Lobes of a third of the length, 2 lobe - 1 wide.
+    // The filters of xx and yy have three lobes, each `lobe` pixels (a third of the side) long and 2 `lobe` - 1 pixels
+    // wide.
     let across = |at: usize| (at + 1 - lobe, at + lobe);
     let middle = |at: usize| (at - lobe / 2, at + lobe / 2 + 1);
     let signed = |sum: u32| sum as i32;
@@ -48,15 +50,15 @@ fn derivatives(integral: &Integral, x: usize, y: usize, side: usize) -> [f32; 3]
     [xx, yy, xy].map(|d| d as f32 * scale)
 }
 
-/// The determinant of second derivatives.
+/// Returns the determinant of the Hessian from its elements.
 fn determinant([xx, yy, xy]: [f32; 3]) -> f32 {
     xx * yy - (BALANCE * xy) * (BALANCE * xy)
 }
 
-/// The determinants at every `step`-th pixel from (x, y) on, as many as `out` has room for.
+/// Computes the determinants at every `step`-th pixel of row `y`, from column `x` on, for all elements of `out`.
 ///
-/// The boxes of a row share their upper and lower edges, so ten reads from three rows of differences replace the 32 reads
-/// of [`derivatives`].
+/// The boxes of a row share their upper and lower edges, so ten reads from three rows of differences replace the 32
+/// reads of [`derivatives`].
 fn fill_row(integral: &Integral, (x, y): (usize, usize), step: usize, side: usize, out: &mut [f32]) {
     let (lobe, half) = (side / 3, side / 2);
     let minus = |mut row: Vec<u32>, other: Vec<u32>, times: u32| {
@@ -67,7 +69,8 @@ fn fill_row(integral: &Integral, (x, y): (usize, usize), step: usize, side: usiz
     let flat = rows(y + 1 - lobe, y + lobe);
     let upright = minus(rows(y - half, y + half + 1), rows(y - lobe / 2, y + lobe / 2 + 1), 3);
     let corners = minus(rows(y + 1, y + 1 + lobe), rows(y - lobe, y), 1);
-    // What is `offset` pixels right of the left edge of the filters.
+    // Element i of `right_of_edge(row)(offset)` is the value of `row` that is `offset` pixels right of the left edge of
+    // the filter at pixel x + i.
     let length = (out.len() - 1) * step + 1;
     let right_of_edge = |row| move |offset: usize| -> &[u32] { &Vec::as_slice(row)[x - half + offset..][..length] };
     let [left, inner_left, inner_right, right] =
@@ -100,13 +103,14 @@ impl Responses {
         Responses { step, side, determinants }
     }
 
-    /// Samples at each border without the filter of this side.
+    /// Returns the number of samples at each border for which the filter is not inside the image.
     fn border(&self) -> usize {
         (self.side / 2) / self.step + 1
     }
 }
 
-/// The maxima of at least the required strength, in pixels of the image, without direction.
+/// Returns the maxima that have at least the required strength, in pixels of the image; their directions are not
+/// computed yet.
 pub(super) fn find(integral: &Integral, options: &SurfOptions) -> Vec<Keypoint> {
     let mut found = Vec::new();
     for octave in 0..options.octaves {
@@ -153,7 +157,7 @@ fn find_in_row(integral: &Integral, three: &[Responses], y: usize, options: &Sur
         if !is_maximum {
             continue;
         }
-        // The maximum between the samples is within one of them in each direction.
+        // Keeps only a maximum between the samples that is at most one sample away in each direction.
         let near = interpolation::extremum(|dx, dy, ds| at(dx, dy, ds).into())
             .filter(|(offset, _)| offset.iter().all(|o| o.abs() <= 1.0));
         if let Some((offset, determinant)) = near {
@@ -233,7 +237,7 @@ mod tests {
             }
             let found = derivatives(&integral, x, y, side);
             for (f, e) in found.iter().zip(expected) {
-                // Rounding of floats of up to a thousand.
+                // The sums are exact integers below 2^24; only the quotients, which are below 1, are rounded.
                 assert!((f - e / (255 * side * side) as f32).abs() < 1e-5, "{side}: {found:?} {expected:?}");
             }
         }

@@ -2,11 +2,12 @@
 
 use crate::plane::Plane;
 
-/// Sums of the grey values above and to the left of every corner of a pixel.
+/// For every corner of a pixel, the sum of all grey values above and to the left of it.
 ///
-/// They wrap around: the sum over a box of up to 16 million pixels is exact all the same.
+/// The sums wrap around in 32 bits. Nevertheless the sum over a box of up to 16 million pixels, a difference of them,
+/// is exact.
 pub(super) struct Integral {
-    /// One column and one row more than the image.
+    /// Has one column and one row more than the image.
     sums: Plane<u32>,
 }
 
@@ -35,22 +36,23 @@ impl Integral {
         self.sums.height() - 1
     }
 
-    /// The sum over `columns` and `rows`, which are inside the image: the first and the end of each.
+    /// Returns the sum over columns `left..right` and rows `top..bottom`, which must be inside the image.
     #[inline]
     pub(super) fn sum(&self, (left, right): (usize, usize), (top, bottom): (usize, usize)) -> u32 {
         let (above, below) = (self.sums.row(top), self.sums.row(bottom));
         below[right].wrapping_sub(below[left]).wrapping_sub(above[right].wrapping_sub(above[left]))
     }
 
-    /// The sums over the rows from `top` to before `bottom`, of the columns to the left of every corner of a pixel.
+    /// Returns, for every x in 0..=width, the sum over rows `top..bottom` and columns `0..x`.
     pub(super) fn between(&self, top: usize, bottom: usize) -> Vec<u32> {
         self.sums.row(bottom).iter().zip(self.sums.row(top)).map(|(below, above)| below.wrapping_sub(*above)).collect()
     }
 
-    /// The Haar wavelets in x and in y: the right half minus the left half, and the lower half minus the upper half, of
-    /// a square of side 2 `half` pixels around (x, y). Zero where the square is not inside the image.
+    /// Returns the responses of the Haar wavelets in x and in y: right half minus left half, and lower half minus upper
+    /// half, of a square around (x, y) whose side is 2 `half` pixels. Zero where the square is not inside the image.
     pub(super) fn haar(&self, x: f32, y: f32, half: usize) -> [f32; 2] {
-        // The centre of the square is at a corner of pixels: at the nearest one. What is negative becomes 0.
+        // The square is centred on the corner of pixels that is nearest to (x, y). The conversion makes negative
+        // positions 0.
         let (x, y) = ((x + 1.0) as usize, (y + 1.0) as usize);
         if x < half || y < half || x + half > self.width() || y + half > self.height() {
             return [0.0; 2];
@@ -59,7 +61,8 @@ impl Integral {
         let (top, bottom) = (y - half, y + half);
         let (above, middle, below) = (self.sums.row(top), self.sums.row(y), self.sums.row(bottom));
         let between = |low: u32, high: u32| high.wrapping_sub(low);
-        // Halves of columns and of rows; differences of unsigned sums, as signed ones.
+        // Sums over the halves of the square. Their differences are exact as signed numbers, although the sums wrap
+        // around.
         let west = between(between(above[left], above[x]), between(below[left], below[x]));
         let east = between(between(above[x], above[right]), between(below[x], below[right]));
         let north = between(between(above[left], above[right]), between(middle[left], middle[right]));

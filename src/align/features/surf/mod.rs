@@ -1,9 +1,9 @@
 //! SURF: keypoints and descriptors from sums over boxes of pixels. Faster than SIFT, with fewer and less precise
 //! keypoints.
 //!
-//! In: a grey image. Out: its [`Features`]. Cost: about 20 additions per pixel for each of four filters in every octave,
-//! then some thousand additions per keypoint. Source: Bay, Tuytelaars & Van Gool, "SURF: Speeded Up Robust Features",
-//! ECCV 2006; each submodule is one of its sections.
+//! In: a grey image. Out: its [`Features`]. Cost: about 20 additions per pixel for each of the four filters of the
+//! first octave, less than half for each further octave, then some thousand additions per keypoint. Source: Bay,
+//! Tuytelaars & Van Gool, "SURF: Speeded Up Robust Features", ECCV 2006; each submodule implements one of its sections.
 
 mod descriptor;
 mod hessian;
@@ -18,7 +18,7 @@ use crate::pyramid::double;
 use integral::Integral;
 use rayon::prelude::*;
 
-/// Settings of the detector; the defaults are the paper's where it names one.
+/// Settings of the detector; the defaults are those of the paper where it has any.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SurfOptions {
     /// Number of octaves (section 3.2: keypoints become rare after four).
@@ -37,13 +37,13 @@ impl Default for SurfOptions {
     }
 }
 
-/// The features of `grey`, sorted by position.
+/// Detects the features of `grey`, sorted by position.
 ///
 /// The options must be within the ranges of [`AlignOptions::validate`](crate::align::AlignOptions::validate).
 pub fn detect(grey: &Plane<u8>, options: &SurfOptions) -> Features {
     let step = if options.double { 0.5 } else { 1.0 };
     let integral = if options.double {
-        // Grey values are positive: the conversion rounds.
+        // Grey values are not negative, so that adding 0.5 before the conversion rounds them.
         Integral::new(&double(&grey.map(f32::from)).map(|v| (v + 0.5) as u8))
     } else {
         Integral::new(grey)

@@ -1,8 +1,8 @@
-//! Simulated cards of photographers with many habits, and how many of their brackets are found exactly.
+//! Tests with simulated memory cards of photographers with many habits: how many of their brackets are found exactly.
 
 use super::*;
 
-/// A generator of numbers that depend only on the seed: SplitMix64.
+/// A generator of random numbers that depend only on the seed: SplitMix64.
 struct Chance(u64);
 
 impl Chance {
@@ -39,27 +39,27 @@ struct Habit {
     counts: &'static [usize],
     steps: &'static [f64],
     mode: Mode,
-    /// Probability that the camera records the position in the bracket.
+    /// Probability that the camera records the position of a frame in its bracket.
     places: f64,
-    /// Pauses in a bracket, in seconds.
+    /// Shortest and longest typical pause within the brackets of a card, in seconds.
     gaps: (f64, f64),
-    /// Spread of the pauses within a bracket: a factor.
+    /// Largest factor by which a pause within a bracket differs from the typical one.
     uneven: f64,
-    /// Pauses between brackets, in seconds.
+    /// Shortest and longest pause between brackets, in seconds.
     pauses: (f64, f64),
-    /// The shortest and the longest time of the middle frame, in seconds.
+    /// The shortest and the longest shutter time of the middle frame, in seconds.
     times: (f64, f64),
     /// Probability that a bracket is exposed like the previous one.
     alike: f64,
     /// Probability of single frames before a bracket.
     singles: f64,
-    /// Pauses before and after these, in seconds.
+    /// Shortest and longest pause before a single frame, in seconds.
     single_pauses: (f64, f64),
     /// Probability of a burst of one exposure before a bracket.
     bursts: f64,
     /// Probability that a frame of a bracket is missing.
     cuts: f64,
-    /// Probability that the count, the steps and the order change.
+    /// Probability that the number of frames, the step and the order change before a bracket.
     changes: f64,
     /// Every second bracket is taken in reverse order.
     is_to_and_fro: bool,
@@ -103,9 +103,9 @@ const MANUAL: Habit = Habit {
     is_to_and_fro: false,
 };
 
-/// Each habit with the smallest percentage of brackets that must be found exactly: the measured value, rounded down.
-/// With 60 cards per habit instead of 8 it is the table in docs/reference/bracket-detection.md. (Brackets with
-/// deleted frames cannot all be found: two frames a third of a stop apart are not a bracket.)
+/// Each habit with the smallest percentage of brackets that must be found exactly: the measured percentage, rounded
+/// down. The percentages with 60 cards per habit instead of 8 are the table in docs/reference/bracket-detection.md.
+/// (Brackets with deleted frames cannot all be found: two frames a third of a stop apart are not a bracket.)
 fn habits() -> Vec<(Habit, f64)> {
     vec![
         (AUTO, 100.0),
@@ -240,7 +240,7 @@ struct CameraClock {
     marks_end: bool,
 }
 
-/// Returns the positions of a bracket in one of the orders that cameras use, in steps from the middle.
+/// Returns the positions of the frames of a bracket, in steps from the middle, in one of the orders that cameras use.
 fn order(chance: &mut Chance, count: usize, mode: Mode) -> Vec<f64> {
     let middle = (count - 1) as f64 / 2.0;
     let up: Vec<f64> = (0..count).map(|i| i as f64 - middle).collect();
@@ -296,7 +296,7 @@ fn card(habit: &Habit, brackets: usize, seed: u64) -> Card {
     let tempo = chance.scaled(habit.gaps.0, habit.gaps.1);
     let (mut now, mut card) = (0.0, Card { exposures: Vec::new(), truth: Vec::new() });
     let mut middle = metered(&mut chance, habit);
-    // Thirds of a stop as recorded: wrong by up to a tenth, always the same for one exposure.
+    // Recorded exposures differ from thirds of a stop by up to 0.06 stops; equal exposures by the same amount.
     let printed = |ev: f64| ev + 0.06 * libm::sin(libm::round(ev * 3.0) * 12.3);
     let take = |card: &mut Card, now: &mut f64, ev: f64, mode: Mode, place: Option<f64>, pause: f64| {
         let ev = printed(ev);
@@ -325,7 +325,7 @@ fn card(habit: &Habit, brackets: usize, seed: u64) -> Card {
         if !chance.is(habit.alike) {
             middle = metered(&mut chance, habit);
         }
-        // In automatic mode single frames are metered; in manual mode they have the exposure of the bracket.
+        // Frames between automatic brackets are in automatic mode; others have the mode of the brackets.
         let mode = if habit.mode == Mode::AutoBracket { Mode::Automatic } else { habit.mode };
         let place = says_places.then_some(0.0);
         if chance.is(habit.singles) {
@@ -366,7 +366,8 @@ fn found(exposures: &[TimedExposure]) -> Vec<Range<usize>> {
     brackets(exposures, rhythm::clock(exposures), &RULES)
 }
 
-/// Returns the number of brackets, of those found exactly, and of found brackets that are wrong.
+/// Returns the number of brackets on the cards, the number of these that are found exactly, and the number of found
+/// brackets that are wrong.
 fn score(habit: &Habit, cards: u64) -> (usize, usize, usize) {
     (0..cards).fold((0, 0, 0), |(all, right, wrong), seed| {
         let card = card(habit, 12, seed + 1000);
@@ -383,7 +384,7 @@ fn brackets_of_many_habits_are_found_as_they_were_taken() {
         let (all, right, wrong) = score(&habit, 8);
         let share = 100.0 * right as f64 / all as f64;
         println!("{:40} {right:4} of {all:4} ({share:5.1} %), {wrong} others", habit.name);
-        // Most wrong brackets are a stray frame or two beside frames of another exposure.
+        // Most wrong brackets contain one or two stray frames beside frames of another exposure.
         if share < least || wrong > all / 6 {
             failed.push(format!("{}: {share:.1} % of {least} %, {wrong} others", habit.name));
         }
@@ -401,7 +402,7 @@ fn snapshots_are_not_brackets() {
             .map(|_| {
                 let pause = chance.scaled(0.5, 300.0);
                 now += pause;
-                // Photographs that are taken at once are of one scene.
+                // Photographs less than 3 s apart are of one scene: their exposures differ by up to 0.7 stops.
                 let metered = if pause < 3.0 { ev + chance.within(-0.7, 0.7) } else { chance.within(-11.0, -4.0) };
                 ev = libm::round(3.0 * metered) / 3.0;
                 TimedExposure {
@@ -449,7 +450,7 @@ fn shifted_bracket_is_continued() {
         .clone()
         .map(|exposure| TimedExposure { bias: Some(exposure.bias.unwrap() + exposure.place.unwrap()), ..exposure });
     assert_eq!(self::found(&as_summed), vec![0..5]);
-    // Without the compensation, it is equally likely that the second bracket was interrupted.
+    // If the compensation is not recorded, the second bracket may as well have been interrupted.
     let unsaid = shifted.map(|exposure| TimedExposure { bias: None, ..exposure });
     assert_eq!(self::found(&unsaid)[0], 0..3);
 }

@@ -1,4 +1,4 @@
-//! Exposures where programs put them, in each format.
+//! Exposures in the places where programs write them, in each format.
 
 use crate::bracket::decode::tests::{LIMIT, at_most, eight, exif_bytes, read};
 use crate::bracket::decode::{decode, head};
@@ -7,7 +7,7 @@ use exif::Tag;
 use std::io::Cursor;
 use std::path::Path;
 
-/// The exposure that the header and the decoder find, which must be the same.
+/// Returns the exposure time and f-number that the decoder finds, and checks that the header has the same values.
 fn exposure(bytes: &[u8]) -> (Option<f64>, Option<f64>) {
     let wanted = [Tag::Orientation, Tag::ExposureTime, Tag::FNumber];
     let head = head(Path::new("picture"), Cursor::new(bytes), &wanted, &at_most(LIMIT)).unwrap();
@@ -52,7 +52,7 @@ fn png_of_raw_profiles_has_its_exif() {
     for bad in [with_marker.replace("exif\n ", "exif\n9"), with_marker.replace('4', "x"), String::new()] {
         assert_eq!(exposure(&png(&|e| e.add_ztxt_chunk(name.clone(), bad.clone()).unwrap())), (None, None));
     }
-    // eXIf counts before it.
+    // An eXIf chunk takes precedence over a raw profile.
     let mut both = png(&|e| e.add_ztxt_chunk(name.clone(), with_marker.clone()).unwrap());
     let mut info = ::png::Info::with_size(2, 1);
     info.color_type = ::png::ColorType::Grayscale;
@@ -75,7 +75,7 @@ fn tiff_with_its_exposure_in_the_first_directory_has_it() {
     let picture = || with(with(rgb(5, 4, DATA), time(1, 60)), (33437, 5, vec![28, 10]));
     let data: Vec<u8> = (0..60).collect();
     assert_eq!(exposure(&file(&data, &[picture()])), (Some(1.0 / 60.0), Some(2.8)));
-    // A thumbnail comes first: its tags complete those of the picture, which has its own orientation.
+    // Where a thumbnail comes first, its tags complete those of the picture, except for the orientation.
     let turned = (274, 3, vec![6]);
     let thumbnail = with(with(with(rgb(1, 1, DATA), (254, 4, vec![1])), time(1, 30)), turned.clone());
     assert_eq!(exposure(&file(&data, &[thumbnail.clone(), rgb(5, 4, DATA)])), (Some(1.0 / 30.0), None));

@@ -1,7 +1,7 @@
 //! Parses the markers of a JPEG up to the end of its first image.
 //!
-//! In: the file. Out: the positions of its parts, and the values of its frame and scan headers. Cost: one search for 0xFF through the file.
-//! Source: ITU-T T.81, annex B.
+//! In: the file. Out: the positions of its parts, and the values of its frame and scan headers. Cost: one search for
+//! 0xFF through the file. Source: ITU-T T.81, annex B.
 
 use super::Reason;
 use std::ops::Range;
@@ -16,16 +16,17 @@ pub(super) struct Layout {
     pub adobe: bool,
     /// Width and height, in pixels.
     pub size: (usize, usize),
-    /// The sampling factors of each component, across and down.
+    /// The horizontal and vertical sampling factor of each component.
     pub sampling: Vec<[u8; 2]>,
     pub progressive: bool,
-    /// Bytes between segments.
+    /// Ranges of bytes between segments that are to be removed.
     pub junk: Vec<Range<usize>>,
-    /// For each component identifier and coefficient: the lowest bit sent, plus one; 0 where none was sent.
+    /// For each component, its identifier and, for each coefficient, the lowest bit that was sent, plus one; 0 for a
+    /// coefficient that was not sent.
     sent: Vec<(u8, [u8; 64])>,
-    /// Just past the entropy-coded data of each scan.
+    /// Index just past the entropy-coded data of each scan.
     pub scan_ends: Vec<usize>,
-    /// Just past the end marker.
+    /// Index just past the end marker.
     pub end: usize,
 }
 
@@ -54,7 +55,7 @@ impl Layout {
                         Ok(layout)
                     };
                 }
-                // TEM has no content and no length, but decoders expect a length.
+                // The marker TEM has no content and no length, but decoders expect a length, so it is removed.
                 0x01 => layout.junk.push(first_ff..at),
                 0xD0..=0xD8 => continue,
                 code => {
@@ -66,7 +67,7 @@ impl Layout {
                     layout.segment(code, content, body)?;
                     if code == 0xDA {
                         at = scan_end(bytes, at).ok_or_else(truncated)?;
-                        // More 0xFF bytes may precede a marker.
+                        // Fill bytes (0xFF) may precede the marker that ends the scan; they are not data.
                         let fill = bytes[..at].iter().rev().take_while(|&&b| b == 0xFF).count();
                         layout.scan_ends.push(at - fill);
                     }
@@ -117,12 +118,13 @@ impl Layout {
         Ok(())
     }
 
-    /// The finest sampling factor of any component, across (0) or down (1).
+    /// Returns the largest sampling factor of any component, along the `axis` across (0) or down (1).
     fn finest(&self, axis: usize) -> u8 {
         self.sampling.iter().map(|own| own[axis]).max().unwrap_or(1)
     }
 
-    /// Rejects sampling factors that do not divide the largest one, and a horizontal factor of 3, which zune-jpeg does not support.
+    /// Rejects sampling factors that do not divide the largest one, and a horizontal factor of 3, which zune-jpeg does
+    /// not support.
     fn check_sampling(&self) -> Result<(), Reason> {
         let is_fraction =
             |own: &[u8; 2]| (0..2).any(|axis| own[axis] > 0 && !self.finest(axis).is_multiple_of(own[axis]));
@@ -135,12 +137,13 @@ impl Layout {
         }
     }
 
-    /// Whether zune-jpeg gets its pixels wrong.
+    /// Whether zune-jpeg decodes the pixels of this file wrongly.
     pub fn is_beyond_zune(&self) -> bool {
         let size = [self.size.0, self.size.1];
         let is_finer_than_first = |own: &[u8; 2]| (0..2).any(|axis| own[axis] > self.sampling[0][axis]);
-        // A sample at half the resolution is interpolated with the next for the second of its pixels alone: for the last sample, where their
-        // number is even. There is a next one, of the padding, where the picture does not fill its last MCU.
+        // Of the two pixels that a sample at half the resolution covers, only the second is interpolated with the next
+        // sample. The last sample has a second pixel where the number of pixels is even, and a next sample, which is
+        // padding, where the picture does not fill its last MCU.
         let is_mixed_with_padding = |axis: usize| {
             let finest = self.finest(axis);
             let is_padded = size[axis].is_multiple_of(2) && !size[axis].is_multiple_of(8 * usize::from(finest));
@@ -157,7 +160,7 @@ impl Layout {
             if self.progressive { sent.iter().all(|&c| c == 1) } else { sent[0] > 0 }
         };
         if self.sent.is_empty() || !self.sent.iter().all(|(_, sent)| whole(sent)) {
-            return Err("scans are missing (truncated); copy the file again".into());
+            return Err("it is incomplete: some of its JPEG scans are missing (truncated); copy the file again".into());
         }
         Ok(())
     }
@@ -175,7 +178,8 @@ fn next_marker(bytes: &[u8], mut at: usize) -> Option<usize> {
     }
 }
 
-/// Returns the index of the first 0xFF. Searches 32 bytes at a time, since entropy-coded data has one in about 200 bytes.
+/// Returns the index of the first 0xFF. Searches 32 bytes at a time, since in entropy-coded data about one byte in 200
+/// is 0xFF.
 fn first_ff(bytes: &[u8]) -> Option<usize> {
     let (groups, _) = bytes.as_chunks::<32>();
     let holds_one = |group: &[u8; 32]| group.iter().fold(false, |any, &b| any | (b == 0xFF));
@@ -183,7 +187,8 @@ fn first_ff(bytes: &[u8]) -> Option<usize> {
     bytes[skipped..].iter().position(|&b| b == 0xFF).map(|i| skipped + i)
 }
 
-/// Returns the index of the 0xFF of the marker that ends the entropy-coded data at `at`; restart markers belong to the data.
+/// Returns the index of the 0xFF of the marker that ends the entropy-coded data that begins at `at`; restart markers
+/// belong to the data.
 fn scan_end(bytes: &[u8], mut at: usize) -> Option<usize> {
     loop {
         let code = next_marker(bytes, at)?;

@@ -1,4 +1,4 @@
-//! JPEGs of every kind and damage.
+//! JPEGs of every kind, and with every kind of damage.
 
 use super::super::tests::{PROGRESSIVE, eight, is_damage, jpeg, read, scene, with_segment};
 use super::super::{decode, head};
@@ -8,7 +8,7 @@ use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
 use std::io::{BufReader, Cursor};
 use std::path::Path;
 
-/// A JPEG whose chroma has half the resolution along the axes on which luma's factors are 2.
+/// Encodes a JPEG whose chroma has half the resolution along each axis whose factor is 2.
 fn subsampled(rgb: &[u8], (width, height): (usize, usize), factors: (u8, u8), progressive: bool) -> Vec<u8> {
     let mut bytes = Vec::new();
     let mut encoder = Encoder::new(&mut bytes, 100);
@@ -18,17 +18,18 @@ fn subsampled(rgb: &[u8], (width, height): (usize, usize), factors: (u8, u8), pr
     bytes
 }
 
-/// Where the frame header of `bytes` begins, behind its marker and its length.
+/// Returns the index at which the content of the frame header begins, after its marker and its length.
 fn frame_header(bytes: &[u8]) -> usize {
     bytes.windows(2).position(|w| matches!(w, [0xFF, 0xC0..=0xC2])).unwrap() + 4
 }
 
-/// What is behind the picture in its last MCUs is another colour than all that is in it.
+/// The padding in the last MCUs has a colour that does not occur in the picture.
 #[test]
 fn jpeg_with_coarse_chroma_is_not_mixed_with_the_padding_behind_it() {
     let (inside, behind) = ([200, 60, 40], [20, 90, 250]);
     for (factors, progressive) in [((2, 2), false), ((2, 1), false), ((1, 2), false), ((2, 2), true)] {
-        // Of as many blocks as are stored, which the scans of one component go by.
+        // Sizes for which ceil(size / 8) is the number of stored blocks, because scans of a single component contain no
+        // other blocks.
         for (width, height) in [(26_usize, 26_usize), (154, 42), (42, 154)] {
             let stored = |size: usize, factor: u8| size.next_multiple_of(8 * usize::from(factor));
             let (across, down) = (stored(width, factors.0), stored(height, factors.1));
@@ -144,7 +145,8 @@ fn progressive_jpeg() {
     assert!((at(4) - 20).abs() < 8 && (at(40) - 200).abs() < 8, "{} {}", at(4), at(40));
 }
 
-/// As fixtures: one scan for each component at 4:2:0, and one of luma and one of both chromas at 4:4:0.
+/// Fixtures of sequential JPEGs with several scans: one scan per component at 4:2:0; one scan of luma and one of both
+/// chroma components at 4:4:0.
 const BY_SCANS: [&[u8]; 2] = [
     include_bytes!("../../../../tests/fixtures/scans-420.jpg"),
     include_bytes!("../../../../tests/fixtures/scans-440.jpg"),
@@ -174,7 +176,7 @@ fn jpeg_of_several_sequential_scans_that_was_cut_is_an_error() {
         let mut end = 0;
         while let Some(scan) = at(end, |code| code == 0xDA) {
             end = at(scan + 2, |code| code != 0).expect("a marker behind the scan");
-            // The last bytes of the scan are missing, all that follows is there.
+            // Cuts off the last bytes of this scan, and keeps all that follows.
             let mut cut = end - 5;
             cut -= usize::from(whole[cut - 1] == 0xFF);
             assert!(is_damage(read(&[&whole[..cut], &whole[end..]].concat())), "before {end} of {}", whole.len());
@@ -201,7 +203,7 @@ fn a_cut_jpeg_that_was_closed_again_is_an_error() {
     let whole = jpeg(&scene(160, 120), 160);
     for part in [0.5, 0.8, 0.95, 0.99] {
         let mut cut = (whole.len() as f64 * part) as usize;
-        // Not between 0xFF and its zero.
+        // Do not cut between 0xFF and the zero byte that follows it.
         cut -= usize::from(whole[cut - 1] == 0xFF);
         assert!(is_damage(read(&[&whole[..cut], &[0xFF, 0xD9]].concat())), "cut at {part}");
     }
@@ -224,7 +226,7 @@ fn data_after_a_jpeg_and_padding_are_ignored() {
     assert!(is_damage(read(&thumbnail[..second.len() + 20])));
 }
 
-/// That it takes little time is checked by `tests/cli/limits.rs`.
+/// `tests/cli/limits.rs` checks that this takes little time.
 #[test]
 fn many_pieces_between_segments_do_no_harm() {
     let whole = jpeg(&scene(64, 48), 64);

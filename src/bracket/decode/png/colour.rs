@@ -1,7 +1,7 @@
 //! Colour profile of a PNG from its chunks: code points, an ICC profile, or primaries and an exponent.
 //!
-//! In: the chunks of the header. Out: an ICC profile, or none for sRGB. Cost: negligible.
-//! Source: W3C, Portable Network Graphics (third edition), section 12.1: cICP comes before iCCP, that before sRGB, that before cHRM and
+//! In: the chunks of the header. Out: an ICC profile, or none for sRGB. Cost: negligible. Source: W3C, Portable Network
+//! Graphics (third edition), section 12.1: cICP takes precedence over iCCP, iCCP over sRGB, and sRGB over cHRM and
 //! gAMA; ITU-T H.273, tables 2 and 3, for the numbers of cICP.
 
 use crate::bracket::colour::{Curve, Primaries, Profile};
@@ -10,7 +10,8 @@ use png::{CodingIndependentCodePoints, Info};
 /// The gAMA value 1/2.2 that stands for the sRGB curve, and its tolerance: writers use 0.45455, 0.4545 and 0.45.
 const SRGB_GAMMA: (f64, f64) = (1.0 / 2.2, 0.005);
 
-/// Returns the profile where it is not sRGB; `embedded` is that of iCCP. Unsupported values are ignored and added to `notes`.
+/// Returns the ICC profile, or `None` where the chunks mean sRGB; `embedded` is the profile of iCCP. Unsupported values
+/// are ignored and added to `notes`.
 pub(super) fn profile(info: &Info, embedded: Option<Vec<u8>>, notes: &mut Vec<String>) -> Option<Vec<u8>> {
     if let Some(points) = &info.coding_independent_code_points {
         if let Some((primaries, curve)) = of_code_points(points) {
@@ -35,7 +36,8 @@ pub(super) fn profile(info: &Info, embedded: Option<Vec<u8>>, notes: &mut Vec<St
     made(primaries, curve, notes)
 }
 
-/// Returns the primaries and curve for the H.273 code points used by photographs; `None` for others and for limited range.
+/// Returns the primaries and curve for the H.273 code points used by photographs; `None` for others and for limited
+/// range.
 fn of_code_points(points: &CodingIndependentCodePoints) -> Option<(Primaries, Curve)> {
     let primaries = match points.color_primaries {
         1 => Primaries::SRGB,

@@ -4,7 +4,8 @@ use super::super::tests::{eight, read};
 use crate::bracket::Samples;
 use crate::tiff_file::tests::{DATA, Entries, file, rgb, with};
 
-/// The entries of an uncompressed picture of `samples` to a pixel, of `depth` bit and the photometric interpretation given.
+/// Returns the entries of an uncompressed picture with `samples` samples per pixel of `depth` bits each, and the given
+/// photometric interpretation.
 fn of_kind((width, height): (u32, u32), samples: u32, depth: u32, photometric: u32) -> Entries {
     let row = (width * samples * depth).div_ceil(8);
     let kinds = [
@@ -16,7 +17,8 @@ fn of_kind((width, height): (u32, u32), samples: u32, depth: u32, photometric: u
     kinds.into_iter().fold(rgb(width, height, DATA), with)
 }
 
-/// Each row of `samples`, to a pixel so many, as the differences to the pixel before.
+/// Replaces each sample by its difference from the same sample of the previous pixel in the row, as predictor 2 stores
+/// it.
 fn differences(samples: &[u16], width: usize, per_pixel: usize) -> Vec<u16> {
     let row = |row: &[u16]| -> Vec<u16> {
         let before = |i: usize| i.checked_sub(per_pixel).map_or(0, |i| row[i]);
@@ -28,7 +30,8 @@ fn differences(samples: &[u16], width: usize, per_pixel: usize) -> Vec<u16> {
 #[test]
 fn tiff_with_alpha_or_extra_samples_has_its_colours_with_a_predictor_or_without() {
     let size = (5, 3);
-    // Grey, white at 0, and RGB; with alpha, and with one and two samples of unknown meaning.
+    // Grey whose 0 is black, grey whose 0 is white, and RGB; each with alpha, with one or two extra samples of
+    // unspecified meaning, or with one that ExtraSamples does not describe.
     for (photometric, colours) in [(1, 1), (0, 1), (2, 3)] {
         for (extra, has_alpha) in
             [(vec![1], true), (vec![2], true), (vec![0], false), (vec![0, 0], false), (vec![], true)]
@@ -72,7 +75,7 @@ fn tiff_with_a_palette_has_the_colours_of_its_map() {
                 .map(|x| u32::from(stored[(x * depth / 8) as usize]) >> (8 - depth - x * depth % 8) & last)
                 .collect(),
         };
-        // Values of 16 bit, and those of old files of 8.
+        // Colour maps with 16-bit values, and with 8-bit values as in old files.
         for scale in [257, 256, 1] {
             let value = |index: u32, c: u32| (index * 5 + c * 60 + 9) % 256;
             let map: Vec<u32> = (0..3).flat_map(|c| (0..=last).map(move |i| scale * value(i, c))).collect();
@@ -90,7 +93,8 @@ fn tiff_of_unsupported_kinds_is_named_and_not_called_damaged() {
         assert!(!reason.contains("again"), "{reason}");
         reason
     };
-    // A quarter of the chroma: the file is shorter than its samples by their number.
+    // Chroma of half the resolution in both directions: the data has 54 bytes, and not the 108 of 6 x 6 pixels of 3
+    // samples.
     let coarse = with(of_kind((6, 6), 3, 8, 6), (530, 3, vec![2, 2]));
     assert!(refused(with(coarse, (279, 4, vec![54]))).contains("YCbCr"));
     assert!(refused(of_kind((4, 4), 3, 8, 8)).contains("L*a*b*"));

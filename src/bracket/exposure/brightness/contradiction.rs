@@ -1,7 +1,7 @@
 //! Compares exposures from EXIF or the user with the pixels.
 //!
-//! In: exposures in EV, and the brightness of their frames. Out: why they are impossible, and for which frames. Cost: one step for each
-//! pair of neighbours in any set of frames that is tried.
+//! In: exposures in EV, and the brightness of their frames. Out: why they are impossible, and for which frames. Cost:
+//! one estimate of a step for each pair of neighbours in any set of frames that is tried.
 
 use super::{Brightness, CAMERAS, STEP, by_brightness, spread, step};
 use std::cell::RefCell;
@@ -16,9 +16,10 @@ const MANY: usize = 12;
 
 /// Returns why `written`, exposures in EV, cannot be those of `frames`; `None` where they are possible.
 ///
-/// Reports only clear contradictions, since the estimate is rough and light may change between frames: all equal although the frames
-/// differ by more than 0.6 EV; a frame written brighter than its neighbour by 0.3 EV or more that is darker by 0.5 EV or more; or a step
-/// that is at least twice, and at least 3 EV more, or as much less, than measured.
+/// Reports only clear contradictions, since the estimate is rough and light may change between frames:
+/// - all written exposures are equal, although the frames differ by more than 0.6 EV;
+/// - a frame is written as brighter than its neighbour by 0.3 EV or more, but is darker by 0.5 EV or more;
+/// - of a written step and the measured one, the larger is at least twice the smaller, and at least 3 EV more.
 pub fn contradiction(written: &[f64], frames: &[&Brightness]) -> Option<String> {
     let all: Vec<usize> = (0..frames.len()).collect();
     among(&all, written, &Pairs::of(frames))
@@ -39,7 +40,8 @@ impl<'a> Pairs<'a> {
         *self.steps.borrow_mut().entry((from, to)).or_insert_with(|| step(self.frames[from], self.frames[to]))
     }
 
-    /// Difference between the darkest and the brightest of the frames `which`, in EV.
+    /// Returns the exposure difference between the darkest and the brightest of the frames `which`, in EV, estimated
+    /// from the pixels.
     fn spread(&self, which: &[usize]) -> Option<f64> {
         let frames: Vec<&Brightness> = which.iter().map(|&i| self.frames[i]).collect();
         let order = by_brightness(&frames);
@@ -53,7 +55,7 @@ fn among(which: &[usize], written: &[f64], pairs: &Pairs) -> Option<String> {
     let all: Vec<f64> = order.iter().map(|&i| written[i]).collect();
     if spread(&all) <= ALIKE {
         let seen = pairs.spread(which)?;
-        return (seen > 0.6).then(|| format!("all say the same, but the pictures differ by about {seen:.1} EV"));
+        return (seen > 0.6).then(|| format!("all exposures are equal, but the pictures differ by about {seen:.1} EV"));
     }
     order.windows(2).find_map(|pair| {
         let said = written[pair[1]] - written[pair[0]];
@@ -71,15 +73,16 @@ fn among(which: &[usize], written: &[f64], pairs: &Pairs) -> Option<String> {
     })
 }
 
-/// The frames `which`, sorted by rising written exposure.
+/// Returns the indices `which`, sorted by rising written exposure.
 fn by_written(which: &[usize], written: &[f64]) -> Vec<usize> {
     let mut order = which.to_vec();
     order.sort_by(|&a, &b| written[a].total_cmp(&written[b]));
     order
 }
 
-/// Returns the smallest set of `frames`, fewer than half, without which there is no [`contradiction`] and all steps can be measured. Of
-/// sets of equal size, returns the one without which the steps are nearest to those written. `None` where there is no such set.
+/// Returns the indices of the smallest set of `frames`, fewer than half, without which there is no [`contradiction`]
+/// and all steps can be measured. Of sets of equal size, returns the one without which the written steps agree best
+/// with the measured ones. `None` where there is no such set.
 pub fn at_odds(written: &[f64], frames: &[&Brightness]) -> Option<Vec<usize>> {
     let (count, pairs) = (frames.len(), Pairs::of(frames));
     let most = if count <= MANY { (count.max(1) - 1) / 2 } else { 1 };
@@ -92,7 +95,7 @@ pub fn at_odds(written: &[f64], frames: &[&Brightness]) -> Option<Vec<usize>> {
             {
                 best = Some((misfit, odd.clone()));
             }
-            // The next of the combinations, in order.
+            // Replaces `odd` by the next combination of `some` indices, in lexicographic order.
             let Some(last) = (0..some).rev().find(|&i| odd[i] < count - some + i) else { break };
             let next = odd[last] + 1;
             odd.truncate(last);
@@ -102,8 +105,8 @@ pub fn at_odds(written: &[f64], frames: &[&Brightness]) -> Option<Vec<usize>> {
     })
 }
 
-/// Returns the largest difference between measured and recorded exposure steps without the frames `odd`, in units of
-/// the uncertainty of camera curves. `None` if the frames contradict each other, or a step cannot be measured.
+/// Returns the largest difference between measured and written exposure steps without the frames `odd`, relative to the
+/// difference that is tolerated. `None` if the remaining frames contradict each other, or a step cannot be measured.
 fn without(written: &[f64], pairs: &Pairs, odd: &[usize]) -> Option<f64> {
     let rest: Vec<usize> = (0..written.len()).filter(|i| !odd.contains(i)).collect();
     let order = by_written(&rest, written);
@@ -114,7 +117,7 @@ fn without(written: &[f64], pairs: &Pairs, odd: &[usize]) -> Option<f64> {
         misfit = misfit.max((said - seen).abs() / (STEP + 2.0 * CAMERAS * said));
     }
     let all: Vec<f64> = order.iter().map(|&i| written[i]).collect();
-    // Equal written exposures do not agree with frames of different brightness.
+    // Equal written exposures contradict frames of different brightness.
     let is_open = among(&rest, written, pairs).is_some() || (spread(&all) <= ALIKE && misfit > 1.0);
     (!is_open).then_some(misfit)
 }

@@ -1,20 +1,21 @@
 //! Fits camera curves to pairs of frames, and computes the steps under them.
 //!
-//! In: the matched pixel values of each pair of frames. Out: for each kind of curve its likelihood, and the steps under the best curve with
-//! their uncertainties. Cost: some ten sums over the matches of all pairs for each kind.
+//! In: the matched pixel values of each pair of frames. Out: for each kind of curve its likelihood, and the steps under
+//! the best curve with their uncertainties. Cost: some ten sums over the matches of all pairs for each kind.
 //!
-//! A curve is the log2 of the exposure as a function of the code. Its slope is that of sRGB's times exp(p), p being a cubic of the code (in
-//! Legendre polynomials over the codes). Matches never determine the constant term of p: it multiplies all steps (Grossberg
-//! and Nayar, "Determining the camera response from images: what is knowable?", PAMI 2003). So it is inferred from the other terms by
-//! priors: normal distributions of the four terms, one for each [`Kind`]. The best terms are found by iteratively reweighted
-//! Gauss-Newton steps; the likelihood of a kind is that of its best terms, times the volume that the matches leave around them (Laplace's
-//! approximation).
+//! A curve is the log2 of the exposure as a function of the pixel value. Its slope is the slope of the sRGB curve times
+//! exp(p), where p is a cubic polynomial of the pixel value, given by four Legendre terms. Matches never determine the
+//! constant term of p, because it multiplies all steps by the same factor (Grossberg and Nayar, "Determining the camera
+//! response from images: what is knowable?", PAMI 2003). So the constant term is inferred from the other terms by
+//! priors: normal distributions of the four terms, one for each [`Kind`]. The best terms are found by iteratively
+//! reweighted Gauss-Newton steps; the likelihood of a kind is that of its best terms, times the volume that the matches
+//! leave around them (Laplace's approximation).
 
 use crate::bracket::colour::srgb_to_linear;
 use nalgebra::{Matrix4, Vector4};
 use std::sync::LazyLock;
 
-/// A pixel value of the darker frame and the one of the same rank in the brighter.
+/// A pixel value of the darker frame (`from`), and the pixel value of the same rank in the brighter frame (`to`).
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Match {
     pub(super) from: f64,
@@ -25,24 +26,26 @@ pub(super) struct Match {
 /// The matches of two frames.
 pub(super) struct Pair {
     pub(super) matches: Vec<Match>,
-    /// Share of pixels with matched values.
+    /// Share of the pixels of the darker frame whose values are in the range of the matches.
     pub(super) share: f64,
 }
 
-/// A class of curves: its share of photographs, the mean of the terms, and the lower triangle of their covariance.
+/// A class of curves: its share of photographs, and the prior of the four terms of its curves: the mean, and the lower
+/// triangle of the covariance.
 struct Kind {
     share: f64,
     mean: [f64; 4],
     covariance: [f64; 10],
 }
 
-/// The distributions were fitted to curves that were measured or computed, in codes 16 to 248; 0.04 to 0.08 was added to the standard deviation
-/// of each term because there are few curves. The shares are estimates: twice as many renderings or films change the mean error of rendered and of
-/// photographed brackets by less than 1 %.
+/// The kinds of curves. Their distributions were fitted to curves that were measured or computed, at pixel values 16 to
+/// 248; 0.04 to 0.08 was added to the standard deviation of each term because there are few curves. The shares are
+/// estimates: doubling the share of renderings or of films changes the mean error of rendered and of photographed
+/// brackets by less than 1 %.
 const KINDS: [Kind; 5] = [
-    // sRGB's itself: renderings.
+    // The sRGB curve itself: renderings.
     Kind { share: 0.35, mean: [0.0; 4], covariance: [0.0004, 0.0, 0.0004, 0.0, 0.0, 0.0004, 0.0, 0.0, 0.0, 0.0004] },
-    // sRGB's followed by (1 - s) y + s (3 y^2 - 2 y^3), s from 0.05 to 1: renderings with more contrast.
+    // The sRGB curve y, followed by (1 - s) y + s (3 y^2 - 2 y^3) with s from 0.05 to 1: renderings with more contrast.
     Kind {
         share: 0.1,
         mean: [-0.113, 0.204, 0.245, 0.039],
@@ -60,7 +63,7 @@ const KINDS: [Kind; 5] = [
         mean: [-0.058, 0.166, 0.171, -0.084],
         covariance: [0.0241, 0.0230, 0.0339, 0.0004, 0.0036, 0.0065, -0.0005, -0.0007, 0.0017, 0.0059],
     },
-    // Slides and papers of high contrast, of the same.
+    // Slides and papers of high contrast, of the same database.
     Kind {
         share: 0.02,
         mean: [-0.576, 0.705, 0.508, 0.020],
@@ -78,13 +81,16 @@ const USUAL: f64 = 1.5;
 const ROUNDING: f64 = 0.6;
 /// Matches that are off by this many standard deviations have a quarter of their weight (Geman and McClure's function).
 const OFF: f64 = 3.0;
-/// Number of neighbouring values with correlated errors, which count as one. An estimate: 8 and 14 change the mean error of rendered brackets by less than 1 %.
+/// Number of neighbouring pixel values whose matches have correlated errors, so that together they count as one match.
+/// An estimate: with 8 and with 14, the mean error of rendered brackets changes by less than 1 %.
 const ALIKE: f64 = 12.0;
-/// Gauss-Newton steps, and how far one may go, so that a slope changes by no more than twice.
+/// Number of Gauss-Newton steps, and the largest change of a term in one step, which at most doubles a slope (exp(0.7)
+/// = 2).
 const ROUNDS: usize = 8;
 const STRIDE: f64 = 0.7;
 
-/// The stops by which sRGB's exposure rises from code `k` to the next, and the Legendre polynomials there.
+/// For each pixel value `k`: the stops by which the exposure rises from `k` to `k + 1` under the sRGB curve, and the
+/// Legendre polynomials in the middle between them.
 static SRGB: LazyLock<Vec<(f64, Vector4<f64>)>> = LazyLock::new(|| {
     let stops = |code: usize| libm::log2(srgb_to_linear(code as f64 / 255.0));
     let rise = |k: usize| {
@@ -97,14 +103,15 @@ static SRGB: LazyLock<Vec<(f64, Vector4<f64>)>> = LazyLock::new(|| {
     (0..255).map(rise).collect()
 });
 
-/// A curve: the exposure in stops for each pixel value, and its derivative by each term.
+/// A curve: the exposure in stops for each pixel value, its derivative by each term, and its rise to the next pixel
+/// value.
 struct Curve {
     stops: Vec<f64>,
     change: Vec<Vector4<f64>>,
     rise: Vec<f64>,
 }
 
-/// A match under a curve.
+/// The exposure ratio of a match under a curve, in stops, and its derivative by each term.
 struct Ratio {
     stops: f64,
     change: Vector4<f64>,
@@ -149,13 +156,13 @@ impl Curve {
 pub(super) struct Fit {
     /// Log likelihood, up to a term common to all kinds.
     pub(super) likelihood: f64,
-    /// In EV, of each pair.
+    /// Step of each pair, in EV.
     pub(super) steps: Vec<f64>,
-    /// Variances of them, under this curve.
+    /// Variance of each step, if this curve is true.
     pub(super) variances: Vec<f64>,
     /// Standard deviation of the log of the common factor of the steps.
     pub(super) scale: f64,
-    /// Standard deviation of a match of each pair, in codes.
+    /// For each pair, the standard deviation of a match, in pixel values.
     codes: Vec<f64>,
 }
 
@@ -177,7 +184,7 @@ struct Share {
     code: f64,
 }
 
-/// `code`: the standard deviation of a match in codes.
+/// Computes the contribution of a pair with `matches`; `code` is the standard deviation of a match, in pixel values.
 fn share(matches: &[Match], curve: &Curve, code: f64) -> Share {
     let ratios: Vec<Ratio> = matches.iter().map(|matched| curve.ratio(matched)).collect();
     let total: f64 = matches.iter().map(|matched| matched.weight).sum();
@@ -218,7 +225,7 @@ fn share(matches: &[Match], curve: &Curve, code: f64) -> Share {
     }
     let mut off: Vec<(f64, f64)> =
         ratios.iter().zip(&weights).map(|(ratio, weight)| ((ratio.stops - step).abs() / ratio.code, *weight)).collect();
-    // The median of absolute normal errors is 0.6745 standard deviations.
+    // The median absolute value of normally distributed errors is 0.6745 standard deviations.
     let code = weighted_median(&mut off) / 0.6745;
     Share { normal, gradient, cost, step, variance: 1.0 / precision, change, code }
 }
@@ -258,12 +265,13 @@ fn fit(pairs: &[Pair], kind: &Kind, codes: &[f64]) -> Option<Fit> {
     None
 }
 
-/// The matrix of which `lower` is the lower triangle, row by row.
+/// Returns the symmetric matrix whose lower triangle is `lower`, row by row.
 fn symmetric(lower: &[f64; 10]) -> Matrix4<f64> {
     Matrix4::from_fn(|i, j| lower[i.max(j) * (i.max(j) + 1) / 2 + i.min(j)])
 }
 
-/// The value below which half of the weight lies, of values with weights.
+/// Returns the weighted median of (value, weight) pairs: the smallest value at which half of the total weight is
+/// reached.
 fn weighted_median(values: &mut [(f64, f64)]) -> f64 {
     values.sort_by(|a, b| a.0.total_cmp(&b.0));
     let half = values.iter().map(|value| value.1).sum::<f64>() / 2.0;

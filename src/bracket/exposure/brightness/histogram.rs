@@ -1,16 +1,18 @@
 //! Histograms of frames, and matches between the pixel values of two frames.
 //!
-//! In: pixel values. Out: pairs of pixel values of equal radiance. Cost: one pass over a quarter of the pixels, then 256-entry tables.
+//! In: pixel values. Out: pairs of pixel values of equal radiance. Cost: one pass over a quarter of the pixels, then
+//! 256-entry tables.
 
 use super::curve::{Match, Pair};
 use crate::bracket::Samples;
 
-/// Range of pixel values that are neither clipped nor lost in the noise and flare of shadows. Lower values of a scan do not depend on
-/// the exposure.
+/// Range of pixel values that are neither clipped nor lost in the noise and flare of shadows. In scans, lower pixel
+/// values do not depend on the exposure.
 const EXPOSED: (usize, usize) = (24, 250);
 /// Fallback range where [`EXPOSED`] leaves too few matches.
 const BARELY_EXPOSED: (usize, usize) = (2, 252);
-/// Minimum number of pixels on either side of a pixel value for it to be matched.
+/// A pixel value is matched only if at least this number of pixels is not above it, and at least this number is above
+/// it.
 const TAIL: u64 = 32;
 
 /// Histogram of the green channel, at 8 bits.
@@ -43,14 +45,15 @@ impl Histogram {
         self.below[256]
     }
 
-    /// Pixel value below which `rank` values lie, where the values of each bin are spread evenly over one unit.
+    /// Returns the pixel value below which `rank` values lie, if the values of each bin are spread evenly over one
+    /// unit.
     fn code_at(&self, rank: f64) -> f64 {
         let k = self.below[1..].partition_point(|&n| (n as f64) < rank).min(255);
         let within = (rank - self.below[k] as f64) / self.counts[k].max(1) as f64;
         k as f64 - 0.5 + within.clamp(0.0, 1.0)
     }
 
-    /// Number of values from `k` - 1 to `k` + 2.
+    /// Returns the number of pixels with values from `k` - 1 to `k` + 2.
     fn about(&self, k: usize) -> u64 {
         self.below[(k + 3).min(256)] - self.below[k.saturating_sub(1)]
     }
@@ -89,7 +92,8 @@ fn count<T>(v: &[T], width: usize, stride: usize, code: impl Fn(&T) -> usize, co
     counts.iter_mut().zip(others).for_each(|(count, other)| *count += other);
 }
 
-/// Matches the pixel values that are well exposed in both, else barely exposed; `None` where there are too few.
+/// Matches the pixel values that are well exposed in both frames, or else those that are barely exposed; `None` where
+/// there are too few matches.
 pub(super) fn matches(dark: &Histogram, bright: &Histogram) -> Option<Pair> {
     matches_within(dark, bright, EXPOSED).or_else(|| matches_within(dark, bright, BARELY_EXPOSED))
 }
@@ -109,7 +113,7 @@ fn matches_within(dark: &Histogram, bright: &Histogram, (low, high): (usize, usi
             tones += usize::from(dark.counts[k] > 0);
         }
     }
-    // Fewer matches may be chance. An image of two tones has no ranks between them.
+    // Fewer matches may be due to chance. An image of two tones has no ranks between these tones.
     if matches.len() < 8 || tones < 4 {
         return None;
     }

@@ -1,16 +1,18 @@
 //! Overlap of two frames of a hand-held bracket.
 //!
-//! In: a coarse image of each frame. Out: the histograms of the overlapping parts under the best shift. Cost: sums of absolute
-//! differences of ranks over coarse images, as in a pyramid search.
+//! In: a coarse image of each frame. Out: the histograms of the overlapping parts under the best shift. Cost: sums of
+//! absolute differences of ranks over coarse images, as in a pyramid search.
 //!
-//! The parts outside the overlap may be a tenth of an image, and where they are bright they change the ranks of all other points.
-//! Ranks of pixel values do not depend on the exposure, so their difference shows the shift (as the bitmaps of Ward 2003 do, of which each is
-//! a rank against one half). Clipped and black points of one frame have no order there, so they get equal
-//! ranks in the other as well. Points are sampled and not averaged, because the mean of pixel values does not match a radiance.
+//! The parts outside the overlap may be a tenth of an image, and where they are bright they change the ranks of all
+//! other points. Ranks of pixel values do not depend on the exposure, so the shift is where the ranks of both frames
+//! differ least (the bitmaps of Ward 2003 are ranks compared with one half). Clipped and black points of one frame have
+//! no order there, so the points at the same ranks in the other frame get equal ranks as well. Points are sampled and
+//! not averaged, because the mean of pixel values does not match a radiance.
 
-/// Points along the longer side.
+/// Maximum number of points along the longer side of a [`View`].
 const LENGTH: usize = 384;
-/// Points along the longer side of the coarsest image of the search; the largest shift there is a sixth of it.
+/// Maximum number of points along the longer side of the coarsest image of the search; the largest shift in that image
+/// is a sixth of its longer side.
 const COARSEST: usize = 24;
 /// Lowest and highest pixel value that is neither black nor clipped.
 const SHOWN: (u8, u8) = (2, 250);
@@ -46,7 +48,7 @@ impl View {
         counts
     }
 
-    /// Shares of points that are not clipped, and that are black.
+    /// Returns the share of the points that are not clipped, and the share that are black.
     fn ends(&self) -> (f32, f32) {
         let share = |is: &dyn Fn(u8) -> bool| {
             self.codes.iter().filter(|&&code| is(code)).count() as f32 / self.codes.len().max(1) as f32
@@ -54,7 +56,8 @@ impl View {
         (share(&|code| code <= SHOWN.1), share(&|code| code < SHOWN.0))
     }
 
-    /// Rank of each point: the share of darker points plus half of the equal ones. Ranks below `black` become equal, as do those above `white`.
+    /// Returns the rank of each point: the share of darker points plus half the share of equal points. Ranks below
+    /// `black` become equal, as do those above `white`.
     fn ranks(&self, (white, black): (f32, f32)) -> Ranks {
         let counts = self.counts(0..self.height(), 0..self.width);
         let mut below = 0;
@@ -73,7 +76,8 @@ impl View {
     }
 }
 
-/// The histograms of what both show, where one is shifted; `None` where none is, or they are of different sizes.
+/// Returns the histograms of the parts of `a` and `b` that overlap; `None` where there is no shift between them, or
+/// their sizes differ.
 pub(super) fn overlap(a: &View, b: &View) -> Option<[[u64; 256]; 2]> {
     if (a.width, a.codes.len()) != (b.width, b.codes.len()) {
         return None;
@@ -83,13 +87,15 @@ pub(super) fn overlap(a: &View, b: &View) -> Option<[[u64; 256]; 2]> {
     ((right, down) != (0, 0)).then(|| [a.counts(ys.0, xs.0), b.counts(ys.1, xs.1)])
 }
 
-/// The range of the first and that of the second that are one where what is at `i` in the second is at `i + by` in the first.
+/// Returns the overlapping ranges of two rows of `length` points, the first and the second row, where point `i` of the
+/// second row is at `i + by` in the first.
 fn both(length: usize, by: isize) -> (std::ops::Range<usize>, std::ops::Range<usize>) {
     let (more, less) = (by.max(0) as usize, (-by).max(0) as usize);
     (more.min(length)..length - less.min(length), less.min(length)..length - more.min(length))
 }
 
-/// Finds the shift between `a` and `b`, to the right and down, in points, to the nearest two.
+/// Finds the shift between `a` and `b` as (right, down), in points: the position of a point in `a` minus its position
+/// in `b`. The shift is a multiple of 2.
 fn shift(a: &View, b: &View) -> (isize, isize) {
     let (of_a, of_b) = (a.ends(), b.ends());
     let ends = (of_a.0.min(of_b.0), of_a.1.max(of_b.1));
@@ -108,7 +114,8 @@ fn shift(a: &View, b: &View) -> (isize, isize) {
     (2 * found.0, 2 * found.1)
 }
 
-/// Finds the shift within `farthest` of `start` with the smallest mean rank difference; of equals, the smallest shift.
+/// Finds the shift within `farthest` of `start` with the smallest mean rank difference; of shifts with equal
+/// differences, the shortest.
 fn nearest(a: &Ranks, b: &Ranks, start: (isize, isize), farthest: isize) -> (isize, isize) {
     let mut best = (f64::INFINITY, 0, start);
     for down in start.1 - farthest..=start.1 + farthest {
@@ -147,7 +154,7 @@ impl Ranks {
         self.width.max(self.height())
     }
 
-    /// Halves the size by means of two by two. An odd row or column is dropped unless it is the only one.
+    /// Halves the size by averaging 2 x 2 ranks. An odd row or column is dropped unless it is the only one.
     fn halved(&self) -> Ranks {
         let (width, height) = ((self.width / 2).max(1), (self.height() / 2).max(1));
         let at = |y: usize, x: usize| self.values[y.min(self.height() - 1) * self.width + x.min(self.width - 1)];
@@ -165,7 +172,8 @@ impl Ranks {
 mod tests {
     use super::*;
 
-    /// A part of a large scene that repeats nowhere, from a column and a row of it on, `brighter` times as bright.
+    /// Returns the part of a large scene without repetitions that begins at `column` and `row`, `brighter` times as
+    /// bright.
     fn view(column: usize, row: usize, brighter: f64) -> View {
         View::of(300, 200, |y, x| {
             let (x, y) = ((x + column) as f64, (y + row) as f64);
@@ -185,7 +193,7 @@ mod tests {
 
     #[test]
     fn nearly_clipped_frame_is_aligned_by_its_unclipped_part() {
-        // A sky that is brighter at its left, and a hill below its horizon, which rises to the right.
+        // A sky that is brighter on the left, above a hill that rises to the right.
         let view = |column: usize, row: usize, brighter: f64| {
             View::of(300, 200, |y, x| {
                 let (x, y) = ((x + column) as f64, (y + row) as f64);

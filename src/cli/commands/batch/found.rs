@@ -8,25 +8,25 @@ use serde::Serialize;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// The version of the format of `--dry-run --json`: keys are only ever added to it.
+/// The version of the format of `--dry-run --json`: keys may be added, but are never removed.
 const SCHEMA: &str = "hdralign-found/1";
-/// Photographs in no bracket that are listed for each reason; `--json` lists all.
+/// Largest number of photographs in no bracket that are listed for each reason; `--json` lists all.
 const LISTED: usize = 20;
-/// Brackets with more frames are listed with the range of their exposures only.
+/// Largest number of frames of a bracket for which every exposure is listed; for larger brackets only the range is.
 const EXPOSURES: usize = 9;
 
-/// The brackets, as input of a plan.
+/// Returns the brackets as input of a plan.
 pub fn planned(found: &Found) -> Vec<Planned> {
     found.brackets.iter().map(Planned::from).collect()
 }
 
-/// The photographs in no bracket, with the reason.
+/// Returns the photographs in no bracket, with the reasons.
 pub fn unused(found: &Found) -> Vec<Unused> {
     let unused = |l: &LeftOver| Unused { path: l.path.to_string_lossy().into_owned(), reason: l.reason.to_string() };
     found.left_over.iter().map(unused).collect()
 }
 
-/// A line with the number of brackets and photographs.
+/// Returns a line with the numbers of brackets, photographs, jobs and other files.
 pub fn counted(found: &Found, jobs: usize) -> String {
     let brackets = found.brackets.len();
     let photographs: usize = found.brackets.iter().map(|b| b.photographs.len()).sum();
@@ -43,12 +43,12 @@ pub fn counted(found: &Found, jobs: usize) -> String {
     words.join(", ")
 }
 
-/// `n` and `what`, in the plural unless `n` is 1.
+/// Returns `n` and `what`, in the plural unless `n` is 1.
 pub fn many(n: usize, what: &str) -> String {
     if n == 1 { format!("1 {what}") } else { format!("{n} {what}s") }
 }
 
-/// The error that no bracket was found, with the most frequent reason.
+/// Returns the error that no bracket was found, with the most frequent reason.
 pub fn nothing(folders: &[PathBuf], found: &Found) -> Error {
     let most = by_kind(found).into_iter().max_by_key(Vec::len);
     let why = match most {
@@ -63,7 +63,7 @@ pub fn nothing(folders: &[PathBuf], found: &Found) -> Error {
     Error::NoBracket { path: folders.first().cloned().unwrap_or_default(), reason: why }
 }
 
-/// The table of `--dry-run`.
+/// Returns the table of `--dry-run`.
 pub fn table(found: &Found, jobs: &[Job]) -> String {
     let names: Vec<&Job> = jobs.iter().filter(|job| job.kind == Kind::Merge).collect();
     let mut rows =
@@ -108,30 +108,31 @@ pub fn table(found: &Found, jobs: &[Job]) -> String {
     text + &counted(found, found.brackets.len()) + "\n"
 }
 
-/// The results of `job` without extension, relative to the folder of all results.
+/// Returns the path of the results of `job` without extension, relative to the folder of the summary.
 fn result(job: &Job) -> String {
     let home = job.summary.parent().unwrap_or(Path::new(""));
     let report = job.report.strip_prefix(home).unwrap_or(&job.report);
     report.with_extension("").to_string_lossy().into_owned()
 }
 
-/// A name in a table; control characters are escaped.
+/// Returns `name` with escaped control characters, for a row of a table.
 fn one_line(name: &str) -> String {
     let plain = |c: char| if c.is_control() { c.escape_default().to_string() } else { c.to_string() };
     name.chars().map(plain).collect()
 }
 
-/// The number of photographs in no bracket, without results of hdralign.
+/// Returns the number of photographs in no bracket, without results of hdralign.
 pub fn left_over(found: &Found) -> usize {
     found.left_over.iter().filter(|left_over| !matches!(left_over.reason, Reason::Result(_))).count()
 }
 
-/// The photographs that cannot be read.
+/// Returns the photographs and folders that cannot be read.
 pub fn unreadable(found: &Found) -> Vec<&LeftOver> {
     found.left_over.iter().filter(|left_over| matches!(left_over.reason, Reason::Unreadable(_))).collect()
 }
 
-/// Photographs in no bracket, grouped by reason, in the order of the first of each.
+/// Returns the photographs in no bracket, grouped by kind of reason; groups are in the order of their first
+/// photographs.
 fn by_kind(found: &Found) -> Vec<Vec<&LeftOver>> {
     let mut groups: Vec<Vec<&LeftOver>> = Vec::new();
     for left_over in &found.left_over {
@@ -148,7 +149,8 @@ fn file_name(shot: &Shot) -> String {
     shot.path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Exposures relative to the middle one, in EV; the range if there are many.
+/// Returns the exposures in EV relative to the median exposure as text; only the range if there are more than
+/// [`EXPOSURES`].
 fn exposures(bracket: &FoundBracket) -> String {
     let all: Option<Vec<f64>> = evs(bracket).into_iter().collect();
     let Some(all) = all else { return "unknown".into() };
@@ -168,7 +170,7 @@ fn exposures(bracket: &FoundBracket) -> String {
     all.iter().map(|&ev| tenth(ev)).collect::<Vec<_>>().join(" ")
 }
 
-/// The exposures in EV, where they are known.
+/// Returns the exposure of each photograph in EV; `None` if it is not known.
 fn evs(bracket: &FoundBracket) -> Vec<Option<f64>> {
     bracket.exposures().into_iter().map(|exposure| exposure.map(libm::log2)).collect()
 }
@@ -177,7 +179,7 @@ fn start(bracket: &FoundBracket) -> Option<String> {
     Some(bracket.photographs.first()?.header.taken?.to_string())
 }
 
-/// Seconds from the start of the first exposure to the end of the last.
+/// Returns the seconds from the start of the first exposure to the end of the last.
 fn lasts_s(bracket: &FoundBracket) -> Option<f64> {
     let (first, last) = (bracket.photographs.first()?, bracket.photographs.last()?);
     let time = last.header.exposure.time_s.map_or(0.0, |t| t.0);
@@ -207,7 +209,7 @@ struct BracketJson {
     height_px: usize,
 }
 
-/// Everything that was found, as JSON.
+/// Returns everything that was found, as JSON.
 pub fn json(found: &Found, jobs: &[Job]) -> String {
     let merges = jobs.iter().filter(|job| job.kind == Kind::Merge);
     let bracket = |(bracket, job): (&FoundBracket, &Job)| {
@@ -231,6 +233,6 @@ pub fn json(found: &Found, jobs: &[Job]) -> String {
         left_over: unused(found),
         other_files: found.other_files,
     };
-    // Strings, numbers and lists of them: nothing in it can fail.
+    // The value contains only strings, numbers and lists of them, so the conversion cannot fail.
     serde_json::to_string_pretty(&all).unwrap_or_default() + "\n"
 }

@@ -24,14 +24,14 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Largest number of brackets listed for each problem at the end.
+/// Largest number of jobs that the summary lists for each problem.
 const LISTED: usize = 10;
 
-/// Progress of the search: the number of photographs read.
+/// Progress of the search for brackets: the number of headers that were read.
 pub struct Searching(ProgressBar);
 
 impl Searching {
-    /// Shown on a terminal only.
+    /// Creates the progress display; it is shown only if stderr is a terminal, and not with `quiet`.
     pub fn new(quiet: bool) -> Searching {
         let bar = if is_shown(quiet) { ProgressBar::new_spinner() } else { ProgressBar::hidden() };
         if let Ok(style) = ProgressStyle::with_template("{spinner} reading headers: {pos}") {
@@ -43,7 +43,7 @@ impl Searching {
         Searching(bar)
     }
 
-    /// Shows `count`.
+    /// Shows `count` as the number of headers that were read.
     pub fn show(&self, count: usize) {
         self.0.set_position(count as u64);
     }
@@ -65,7 +65,8 @@ struct Board {
     began: Instant,
     jobs: usize,
     ended: AtomicUsize,
-    /// Estimated seconds: of all jobs; of those done in this run; of all that ended.
+    /// Sums of the estimated times in seconds: of all jobs; of the ended jobs that this run worked on; of all ended
+    /// jobs.
     planned: (f64, Mutex<(f64, f64)>),
     quiet: bool,
     verbose: bool,
@@ -126,7 +127,8 @@ impl Board {
         self.bar.set_prefix(left(self.left_s(job.time_s, is_work)));
     }
 
-    /// Seconds left, from the ratio of measured to estimated time so far.
+    /// Counts a job with the estimated time `time_s` as ended, and returns the seconds left, from the ratio of measured
+    /// to estimated time so far. `is_work` is false if the job was done before.
     fn left_s(&self, time_s: f64, is_work: bool) -> Option<f64> {
         let (all, so_far) = &self.planned;
         let mut so_far = so_far.lock().unwrap_or_else(PoisonError::into_inner);
@@ -138,16 +140,16 @@ impl Board {
     }
 }
 
-/// The message that is printed once if a disk is full.
+/// Returns the message that is printed once for a full disk.
 fn full(job: &Job) -> String {
     let folder = job.report.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     format!(
-        "hdralign: {}: the disk is full, so no further bracket is started that writes there; free space and run the command again (finished brackets are kept)",
+        "hdralign: {}: the disk is full, so no further bracket is started for this disk; delete some files and run the command again (finished brackets are kept)",
         folder.display()
     )
 }
 
-/// A line on a job that is done.
+/// Returns the line for a job that is done; `is_new` is false if it was done before.
 pub fn described(id: &str, brief: &Brief, is_new: bool) -> String {
     let mut words = Vec::new();
     match brief.time_s.filter(|_| is_new) {
@@ -166,7 +168,7 @@ pub fn described(id: &str, brief: &Brief, is_new: bool) -> String {
     format!("{id}: {}", words.join(", "))
 }
 
-/// Does all jobs.
+/// Runs all jobs with a progress bar, writes and prints the summary, and returns the exit code.
 pub fn run(jobs: &[Job], found: &Found, options: Options, args: &Args) -> Result<ExitCode, Error> {
     let home = open_home(&jobs[0].summary, args)?;
     let mut options = options;
@@ -192,7 +194,7 @@ pub fn open_home(path: &Path, args: &Args) -> Result<PathBuf, Error> {
     Ok(home)
 }
 
-/// Photographs in no bracket.
+/// The number of photographs in no bracket, and those that cannot be read.
 pub struct LeftOver<'a> {
     count: usize,
     unreadable: Vec<&'a find::LeftOver>,
@@ -211,8 +213,8 @@ fn limits(work: &Work, jobs: Option<usize>, home: &Path) -> Result<Limits, Error
     Ok(Limits { jobs: jobs.unwrap_or(threads), threads, memory: work.memory(|| home.to_owned()) })
 }
 
-/// Writes the summary to `path`, prints it, and returns the exit code. A photograph that cannot be read, or a summary that cannot be
-/// written, counts as not done.
+/// Writes the summary to `path`, prints it, and returns the exit code. If a photograph cannot be read, or the summary
+/// cannot be written, the exit code is that of a batch that is only partly done.
 pub fn finish(summary: &Summary, path: &Path, left_over: Option<&LeftOver>, args: &Args) -> Result<ExitCode, Error> {
     let files = summary.write(path, args.work.force);
     if !args.work.quiet {
@@ -236,17 +238,17 @@ pub fn finish(summary: &Summary, path: &Path, left_over: Option<&LeftOver>, args
     Ok(if is_degraded && outcome == Outcome::All { ExitCode::from(3) } else { exit_code(outcome) })
 }
 
-/// The first of `texts` after `label`, and how many more there are.
+/// Returns a line with `label` for each of the first [`LISTED`] texts, and a line with the number of the others.
 fn listed(label: &str, texts: impl ExactSizeIterator<Item = String>) -> Vec<String> {
     let more = texts.len().saturating_sub(LISTED);
     let mut lines: Vec<String> = texts.take(LISTED).map(|text| format!("{label:<11}{text}")).collect();
     if more > 0 {
-        lines.push(format!("{label:<11}and {more} more; the summary has all"));
+        lines.push(format!("{label:<11}and {more} more; batch.json lists all"));
     }
     lines
 }
 
-/// The lines of the summary.
+/// Returns the lines of the summary.
 fn lines(summary: &Summary, files: Option<&[PathBuf; 2]>, left_over: Option<&LeftOver>) -> Vec<String> {
     let counts = &summary.counts;
     let all = [
@@ -257,7 +259,7 @@ fn lines(summary: &Summary, files: Option<&[PathBuf; 2]>, left_over: Option<&Lef
         (counts.degraded, "degraded"),
     ];
     let words: Vec<String> = all.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")).collect();
-    // A shared response is a job too.
+    // With --shared-response there are also jobs that recover responses.
     let is_of_brackets = summary.jobs.iter().all(|row| row.kind == Kind::Merge);
     let jobs = if is_of_brackets { "brackets" } else { "jobs" };
     let mut lines = vec![format!("{jobs:<11}{} of {}", words.join(", "), counts.jobs)];
@@ -273,7 +275,7 @@ fn lines(summary: &Summary, files: Option<&[PathBuf; 2]>, left_over: Option<&Lef
         lines.extend(listed("unreadable", left_over.unreadable.iter().map(why)));
         if left_over.count > 0 {
             let count = many(left_over.count, "photograph");
-            lines.push(format!("{:<11}{count}; the summary and --dry-run list the reasons", "no bracket"));
+            lines.push(format!("{:<11}{count}; batch.json and --dry-run list the reasons", "no bracket"));
         }
     }
     if let Some([report, table]) = files {

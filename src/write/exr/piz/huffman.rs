@@ -8,28 +8,31 @@
 //! Of equally frequent nodes the one with the lower value comes first, and an inner node has the value of its second
 //! child. This determines the code lengths, and with them every byte.
 
-/// The values, and the code of runs, which follows the largest value.
+/// Number of symbols: all 16-bit values, and the symbol for runs, which follows the largest value that occurs.
 const SYMBOLS: usize = (1 << 16) + 1;
 
-/// Longest code that a table can represent; codes of blocks with fewer than 2^39 values are shorter.
+/// Length, in bits, of the longest code that a table can represent; codes of blocks with fewer than 2^39 values are
+/// shorter.
 const LONGEST: usize = 58;
 
-/// Longest run of empty entries in the table that takes 6 bits; longer ones take 8 more bits.
+/// Lengths of the shortest and the longest run of empty entries in the table that takes 14 bits; shorter runs take 6
+/// bits.
 const LONG_RUN: usize = 6;
 const MOST_RUN: usize = 255 + LONG_RUN;
 
-/// Encodes blocks; keeps its tables from one to the next.
+/// Encodes blocks; keeps its tables from block to block.
 #[derive(Debug)]
 pub(super) struct Coder {
     /// Counts of each value, in two parts, because increments of the same counter wait for each other.
     counts: Box<[[u32; 1 << 16]; 2]>,
-    /// The code of every symbol, and below it in 6 bits its length; 0 for symbols that do not occur.
+    /// The code of every symbol, shifted left by 6 bits to make room for its length; 0 for symbols that do not occur.
     codes: Box<[u64; SYMBOLS]>,
-    /// Frequency, and below it in 17 bits the symbol, from the rarest up.
+    /// The frequency of every symbol that occurs, shifted left by 17 bits to make room for the symbol; the rarest
+    /// first.
     leaves: Vec<u64>,
-    /// The same for inner nodes without parent, and their number among all nodes.
+    /// For every inner node, a key as in `leaves`, and the number of the node among all nodes; the rarest first.
     inner: Vec<(u64, u32)>,
-    /// The parent of every node, leaves first, and later its depth.
+    /// The number of the parent of every node, leaves first; later the depth of the node.
     parents: Vec<u32>,
 }
 
@@ -46,7 +49,7 @@ impl Default for Coder {
 }
 
 impl Coder {
-    /// Appends the code of `values`, which are not empty.
+    /// Appends `values`, which are not empty, as a header, the table and the codes.
     pub(super) fn encode(&mut self, values: &[u16], out: &mut Vec<u8>) {
         let (first, last) = self.count(values);
         let most_bits = self.assign_lengths();
@@ -96,8 +99,8 @@ impl Coder {
         (first, runs)
     }
 
-    /// Writes the length of every symbol's code into the table. Returns the number of bits of all values without
-    /// runs, with one code for runs.
+    /// Writes the length of the code of every symbol to `codes`. Returns the number of bits of all values if none is
+    /// encoded as a run, plus one code for runs.
     fn assign_lengths(&mut self) -> u64 {
         let Coder { codes, leaves, inner, parents, .. } = self;
         let leaf_count = leaves.len();
@@ -106,7 +109,7 @@ impl Coder {
         inner.clear();
         let (mut next_leaf, mut next_inner) = (0, 0);
         for node in leaf_count..2 * leaf_count - 1 {
-            // The smallest of both rows, twice.
+            // Takes the smallest node of both rows; called twice.
             let mut least = || {
                 let inner_key = inner.get(next_inner).map_or(u64::MAX, |n: &(u64, u32)| n.0);
                 let leaf_key = leaves.get(next_leaf).map_or(u64::MAX, |&key| key);
@@ -141,7 +144,7 @@ impl Coder {
         })
     }
 
-    /// Assigns the canonical codes: longer ones are lower; codes of one length rise with the symbol.
+    /// Assigns the canonical codes: longer codes have lower values; codes of the same length rise with the symbol.
     fn assign_codes(&mut self, first: usize, last: usize) {
         let mut next = [0u64; LONGEST + 1];
         let codes = &mut self.codes[first..=last];
@@ -162,10 +165,10 @@ impl Coder {
         }
     }
 
-    /// Writes the lengths, 6 bits each; symbols that do not occur as runs.
+    /// Writes the lengths of the codes, 6 bits each; symbols that do not occur are written as runs.
     fn put_table(&self, first: usize, last: usize, out: &mut Vec<u8>) {
         let codes = &self.codes[first..=last];
-        // None takes more than 6 bits, except the 14 for six and more.
+        // Every entry takes 6 bits or less: a run of six entries or more takes 14 bits.
         let mut bits = Bits::within(out, codes.len() + 8);
         let mut at = 0;
         while at < codes.len() {
@@ -174,7 +177,7 @@ impl Coder {
                 at += 1;
                 continue;
             }
-            // The last symbol occurs.
+            // Every run ends before the last symbol, which occurs.
             let run = codes[at..].iter().take(MOST_RUN).take_while(|&&code| code == 0).count();
             match run {
                 1 => bits.put(0, 6),
@@ -186,7 +189,8 @@ impl Coder {
         bits.end();
     }
 
-    /// Writes the codes, at most `most_bits` and a byte for each run. Returns their number of bits.
+    /// Writes the codes of the values, with the symbol `runs` for repetitions where that is shorter, so at most
+    /// `most_bits` bits. Returns the number of bits.
     fn put_values(&self, values: &[u16], runs: usize, most_bits: u64, out: &mut Vec<u8>) -> u64 {
         let codes = &self.codes[..];
         let of_runs = codes[runs];
@@ -212,7 +216,7 @@ impl Coder {
                 bits.put(code >> 6, code & 63);
                 continue;
             }
-            // Number of repetitions.
+            // Number of repetitions after the first value.
             let again = values[at..].iter().take(255).take_while(|&&v| v == value).count();
             at += again;
             let length = code & 63;
@@ -230,7 +234,7 @@ impl Coder {
     }
 }
 
-/// Writes bits, highest of each byte first, after the bytes.
+/// Appends bits to `out`, from the highest bit of each byte down.
 struct Bits<'a> {
     out: &'a mut Vec<u8>,
     start: usize,
@@ -241,7 +245,8 @@ struct Bits<'a> {
 }
 
 impl<'a> Bits<'a> {
-    /// Creates a writer for at most `bytes`; 8 more are reserved.
+    /// Creates a writer with room for `bytes`. As [`put`](Self::put) always writes 8 bytes, this must be 8 more than
+    /// needed.
     fn within(out: &'a mut Vec<u8>, bytes: usize) -> Self {
         let start = out.len();
         out.resize(start + bytes, 0);
@@ -253,7 +258,7 @@ impl<'a> Bits<'a> {
     fn put(&mut self, bits: u64, count: u64) {
         self.held += count;
         self.word |= bits << (64 - self.held);
-        // All 8 bytes are written. Those that are not full yet are overwritten the next time.
+        // All 8 bytes are written. Bytes that are not full yet are overwritten the next time.
         self.out[self.at..self.at + 8].copy_from_slice(&self.word.to_be_bytes());
         self.at += (self.held >> 3) as usize;
         self.word <<= self.held & 0x38;
@@ -272,7 +277,8 @@ impl<'a> Bits<'a> {
 mod tests {
     use super::*;
 
-    /// The lengths of all codes, with a heap as in the source, and depths by counting.
+    /// Returns (symbol, length of its code) for all symbols that occur, by taking the rarest nodes from a sorted list,
+    /// as from the heap of the source, and counting depths.
     fn textbook(values: &[u16]) -> Vec<(usize, u64)> {
         let mut counts = std::collections::BTreeMap::new();
         values.iter().for_each(|&v| *counts.entry(usize::from(v)).or_insert(0u64) += 1);
@@ -298,7 +304,7 @@ mod tests {
             let values: Vec<u16> = (0..30 * (kind as usize + 1))
                 .map(|_| {
                     state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-                    // From even to steep.
+                    // From uniform to steep distributions.
                     let v = (state >> 48) as u16;
                     (0..kind % 4).fold(v % 300, |v, _| v & (state >> 33) as u16)
                 })

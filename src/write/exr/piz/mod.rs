@@ -5,27 +5,27 @@
 //! in OpenEXR: `ImfPizCompressor.cpp`, `ImfWav.cpp`, `ImfHuf.cpp`.
 //!
 //! The values that occur are numbered in order, so that fewer bits are needed; wavelets remove what is smooth; and a
-//! Huffman code with run lengths compresses the rest. The `exr` crate, which writes the same bytes in three times the
-//! time, is the oracle of the tests.
+//! Huffman code with run lengths compresses the rest. The tests compare the bytes with those of the `exr` crate, which
+//! takes three times as long.
 
 mod huffman;
 mod wavelet;
 
 use crate::simd::{Loops, vectorised};
 
-/// Compresses blocks; keeps its tables and buffers from one to the next.
+/// Compresses blocks; keeps its tables and buffers from block to block.
 #[derive(Debug)]
 pub(super) struct Packer {
     width: usize,
-    /// 16-bit words per sample.
+    /// Number of 16-bit words per sample: 1 or 2.
     words: usize,
     /// The words of B, G and R; for floats the low and then the high words of each.
     planes: Vec<u16>,
     coded: Vec<u16>,
     scratch: Vec<u16>,
-    /// Whether a value occurs, as 0 or 1.
+    /// For every value, whether it occurs, as 0 or 1.
     occurs: Box<[u8; 1 << 16]>,
-    /// The number of a value among those that occur.
+    /// For every value, its number among the values that occur.
     numbers: Box<[u16; 1 << 16]>,
     coder: huffman::Coder,
 }
@@ -46,8 +46,8 @@ impl Default for Packer {
 }
 
 impl Packer {
-    /// Returns the planes of a block of `rows` rows of `width` samples of `words` 16-bit words, 1 or 2, one after the
-    /// other: B, G, R, and of each the low words first. Fill all of it before [`pack`](Self::pack).
+    /// Returns the planes of a block, B, G and R one after the other, each with its low words first. The block has
+    /// `rows` rows of `width` samples of `words` 16-bit words, 1 or 2. Fill all planes before [`pack`](Self::pack).
     pub(super) fn planes(&mut self, width: usize, rows: usize, words: usize) -> &mut [u16] {
         (self.width, self.words) = (width, words);
         self.planes.resize(3 * words * rows * width, 0);
@@ -84,8 +84,9 @@ impl Packer {
         }
     }
 
-    /// Assigns consecutive numbers to the values that occur, in order; 0 always has one. Appends their bitmap without 0, from its first byte
-    /// that is not empty to the last. Returns the highest number.
+    /// Assigns consecutive numbers to the values that occur, in rising order; the value 0 always gets a number. Appends
+    /// the bitmap of the values that occur, without 0, from the first byte that is not empty to the last. Returns the
+    /// highest number.
     fn number(&mut self, out: &mut Vec<u8>) -> u16 {
         self.occurs.fill(0);
         for &value in &self.planes {
@@ -95,7 +96,7 @@ impl Packer {
         let mut count = 0u16;
         for (number, &occurs) in self.numbers.iter_mut().zip(self.occurs.iter()) {
             *number = count;
-            // All 65536 may occur; the number after the last is never used.
+            // All 65536 values may occur; the number after the last is never used.
             count = count.wrapping_add(u16::from(occurs));
         }
         let highest = count.wrapping_sub(1);
@@ -126,7 +127,7 @@ impl Packer {
     }
 }
 
-/// Interleaves each two planes of `size` words.
+/// Interleaves the words of each two consecutive planes (low and high words) of `size` words.
 fn interleave(planes: &[u16], size: usize, out: &mut Vec<u16>) {
     out.resize(planes.len(), 0);
     for (pair, to) in planes.chunks_exact(2 * size).zip(out.chunks_exact_mut(2 * size)) {
@@ -173,7 +174,8 @@ mod tests {
         Compression::PIZ.compress_image_section_to_le(&header, bytes, bounds).unwrap()
     }
 
-    /// Compares `value(plane, place)` as planes and as rows.
+    /// Checks that `packer` and the crate give the same bytes for a block whose words are `value(plane, index in the
+    /// plane)`.
     fn check(packer: &mut Packer, (width, rows, words): (usize, usize, usize), value: impl Fn(usize, usize) -> u16) {
         let size = width * rows;
         for (i, to) in packer.planes(width, rows, words).iter_mut().enumerate() {
@@ -192,7 +194,7 @@ mod tests {
         assert!(ours[6..] == by_the_crate(width, rows, words, &samples), "{width}x{rows}, {words} words");
     }
 
-    /// One packer for all, so that data of one block in the next would be detected.
+    /// One packer is used for all blocks, so that data left from one block in the next would be detected.
     #[test]
     fn blocks_are_those_of_the_exr_crate_to_the_byte() {
         let noise = |plane: usize, i: usize| ((plane * 1_000_003 + i).wrapping_mul(2_654_435_761) >> 13) as u16;
@@ -206,7 +208,7 @@ mod tests {
                 check(&mut packer, size, |_, _| 0);
                 check(&mut packer, size, |_, _| 0x3c00);
                 check(&mut packer, size, |plane, i| if noise(plane, i) % 50 == 0 { noise(plane, i) } else { 0x3c00 });
-                // More than 2^14 different values, which use the other wavelet.
+                // More than 2^14 different values, which use the 16-bit wavelet.
                 check(&mut packer, size, |plane, i| noise(plane, i) / if plane % 2 == 0 { 3 } else { 900 });
                 // Incompressible values.
                 check(&mut packer, size, noise);

@@ -12,7 +12,8 @@ use crate::simd::{Loops, vectorised};
 /// Transforms `plane` with `width` values per row, none above `highest`; `scratch` is overwritten.
 pub(super) fn transform(plane: &mut [u16], width: usize, highest: u16, scratch: &mut Vec<u16>) {
     let height = plane.len() / width;
-    // A level needs half a plane, and leaves a quarter to the next.
+    // A level needs half the size of its plane, and the plane of the next level is a quarter of it; all levels together
+    // need less than one plane.
     scratch.resize(plane.len().max(scratch.len()), 0);
     if highest < 1 << 14 {
         level::<false>(plane, width, height, scratch);
@@ -49,7 +50,7 @@ fn pair<const WIDE: bool>(a: u16, b: u16) -> (u16, u16) {
     }
 }
 
-/// Writes the sums of each four neighbours and their horizontal differences to separate planes, and the other
+/// Writes the sums of each 2 x 2 neighbours and their horizontal differences to separate planes, and the other
 /// differences in place.
 struct Split<'a, const WIDE: bool> {
     plane: &'a mut [u16],
@@ -86,7 +87,7 @@ impl<const WIDE: bool> Loops for Split<'_, WIDE> {
     }
 }
 
-/// Copies both planes back, and pairs the last of an odd number of rows.
+/// Copies the separate planes back, and transforms the last of an odd number of rows.
 struct Join<'a, const WIDE: bool> {
     plane: &'a mut [u16],
     width: usize,

@@ -1,4 +1,5 @@
-//! A bounding-volume tree over the scene's triangles: the nearest hit of a ray, or whether anything is in its way.
+//! A tree of bounding volumes over the triangles of the scene. It finds the nearest hit of a ray, or whether anything
+//! blocks the ray.
 
 use super::mesh::Triangle;
 use super::vec3::{V3, v3};
@@ -16,13 +17,14 @@ pub struct Hit {
 struct Node {
     lo: V3,
     hi: V3,
-    /// A leaf's first triangle, or an inner node's second child (the first one follows it).
+    /// Index of the first triangle of a leaf, or of the second child of an inner node (the first child is the next
+    /// node).
     next: u32,
-    /// A leaf's number of triangles; 0 for an inner node.
+    /// Number of triangles of a leaf; 0 for an inner node.
     count: u32,
 }
 
-/// The part of a triangle that a ray needs.
+/// The part of a triangle that is needed to intersect it with a ray.
 #[derive(Clone, Copy)]
 struct Face {
     at: V3,
@@ -30,7 +32,7 @@ struct Face {
     e2: V3,
 }
 
-/// The tree, with the triangles in its own order.
+/// The tree, with the triangles in the order of its leaves.
 pub struct Bvh {
     nodes: Vec<Node>,
     faces: Vec<Face>,
@@ -65,7 +67,8 @@ impl Bvh {
         Bvh { nodes, faces, triangles }
     }
 
-    /// The nearest triangle along `o + t d` with `t` in 0.0001..`limit` that `keep` (its number) lets count.
+    /// Returns the nearest hit along `o + t d` with `t` in 0.0001..`limit`, of the triangles for whose index `keep`
+    /// returns true.
     pub fn nearest(&self, o: V3, d: V3, limit: f32, keep: impl Fn(u32) -> bool) -> Option<Hit> {
         let mut best = None;
         self.walk(o, d, limit, |hit| {
@@ -79,7 +82,7 @@ impl Bvh {
         best
     }
 
-    /// Is there any triangle between `o` and `o + limit d` that `keep` lets count?
+    /// Returns whether there is a triangle between `o` and `o + limit d` for whose index `keep` returns true.
     pub fn blocked(&self, o: V3, d: V3, limit: f32, keep: impl Fn(u32) -> bool) -> bool {
         let mut found = false;
         self.walk(o, d, limit, |hit| {
@@ -93,7 +96,7 @@ impl Bvh {
         found
     }
 
-    /// Visits hits nearer than the limit, which `visit` may lower by giving a new one (a negative one ends the walk).
+    /// Calls `visit` for hits nearer than `limit`. `visit` may return a new, lower limit; a negative one ends the walk.
     fn walk(&self, o: V3, d: V3, mut limit: f32, mut visit: impl FnMut(Hit) -> Option<f32>) {
         let inv = v3(1.0 / d.x, 1.0 / d.y, 1.0 / d.z);
         let mut stack = [0u32; 64];
@@ -148,7 +151,7 @@ fn entry(node: &Node, o: V3, inv: V3, limit: f32) -> Option<f32> {
     (enter <= leave * 1.000_001).then_some(enter)
 }
 
-/// Möller and Trumbore's test.
+/// Intersects a ray with a triangle, by the method of Möller and Trumbore.
 fn meet(f: &Face, triangle: u32, o: V3, d: V3, limit: f32) -> Option<Hit> {
     let p = d.cross(f.e2);
     let det = f.e1.dot(p);
@@ -166,7 +169,7 @@ fn meet(f: &Face, triangle: u32, o: V3, d: V3, limit: f32) -> Option<Hit> {
     (v >= 0.0 && u + v <= 1.0 && t > 1e-4 && t < limit).then_some(Hit { t, triangle, u, v })
 }
 
-/// Splits `triangles[from..to]` where the binned surface-area heuristic says, and appends the nodes.
+/// Splits `triangles[from..to]` by the binned surface-area heuristic, and appends the nodes.
 fn split(triangles: &mut [Triangle], from: usize, to: usize, nodes: &mut Vec<Node>) {
     let (mut lo, mut hi) = (V3::ONE * f32::INFINITY, V3::ONE * f32::NEG_INFINITY);
     let (mut clo, mut chi) = (lo, hi);
@@ -210,7 +213,7 @@ fn split(triangles: &mut [Triangle], from: usize, to: usize, nodes: &mut Vec<Nod
     }
     let middle = if best.0.is_finite() {
         let part = &mut triangles[from..to];
-        // A stable partition: the order of triangles, and so every tie, is the same each time.
+        // The partition is stable, so that triangles have the same order, and ties the same result, each time.
         part.sort_by_key(|t| bin_of(t, best.1) >= best.2);
         from + part.partition_point(|t| bin_of(t, best.1) < best.2)
     } else {

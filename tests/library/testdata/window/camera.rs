@@ -1,7 +1,7 @@
-//! The camera: radiance in, JPEG with EXIF out.
+//! The camera: from radiance to a JPEG with EXIF.
 //!
-//! X = L t / [`SATURATION`] is the exposure, 1 where the sensor is full; photo-electrons have shot and read noise;
-//! the response is the S curve of a film, f(X) = (1 + s) X^n / (X^n + s).
+//! The exposure is X = L t / [`SATURATION`], 1 where the sensor is full. The photo-electrons have shot and read noise.
+//! The response is the S curve of a film, f(X) = (1 + s) X^n / (X^n + s).
 
 use std::io::Cursor;
 
@@ -16,46 +16,49 @@ use super::noise::gaussian;
 use super::scene::{HEIGHT, WIDTH};
 use super::vec3::V3;
 
-/// Exposure times as rationals (s): two stops apart, darkest first; the middle one is the reference.
+/// Exposure times of the frames as fractions of a second: two stops apart, darkest first.
 pub const TIMES: [(u32, u32); 5] = [(1, 512), (1, 128), (1, 32), (1, 8), (1, 2)];
+/// Index of the reference frame, the middle one.
 pub const REFERENCE: usize = 2;
 pub const F_NUMBER: u32 = 8;
 pub const ISO: u16 = 100;
 
-/// Luminance times seconds that fills the sensor at f/8 and ISO 100 (cd s/m2): 78 / ISO * N^2 / 0.65.
+/// Luminance times exposure time that fills the sensor at f/8 and ISO 100, in cd s/m2: 78 / ISO * N^2 / 0.65.
 pub const SATURATION: f64 = 76.8;
 
-/// Photo-electrons at saturation, and the read noise's standard deviation in electrons.
+/// Number of photo-electrons at saturation.
 pub const FULL_WELL: f64 = 20_000.0;
+/// Standard deviation of the read noise, in electrons.
 pub const READ_NOISE: f64 = 4.0;
 
-/// The response's constants, n and s.
+/// The constant n of the response.
 pub const POWER: f64 = 0.8;
+/// The constant s of the response.
 pub const KNEE: f64 = 0.45;
 
-/// The response as a formula, for people.
+/// The response as a formula, for readers of `truth.json`.
 pub const FORMULA: &str =
     "f(X) = (1 + s) X^n / (X^n + s), n = 0.8, s = 0.45; X = 1 at saturation; value = round(255 f(X))";
 
 pub const QUALITY: u8 = 90;
 
-/// Film's S curve: exposure 0..1 to brightness 0..1.
+/// Returns the brightness 0..1 for the exposure `x` 0..1, by the S curve of a film.
 pub fn response(x: f64) -> f64 {
     let p = x.clamp(0.0, 1.0).powf(POWER);
     (1.0 + KNEE) * p / (p + KNEE)
 }
 
-/// Brightness 0..1 to exposure 0..1.
+/// Returns the exposure 0..1 for the brightness `y` 0..1: the inverse of [`response`].
 pub fn inverse_response(y: f64) -> f64 {
     (y * KNEE / (1.0 + KNEE - y)).powf(1.0 / POWER)
 }
 
-/// Frame `i`'s exposure time in seconds.
+/// Returns the exposure time of frame `i` in seconds.
 pub fn seconds(i: usize) -> f64 {
     f64::from(TIMES[i].0) / f64::from(TIMES[i].1)
 }
 
-/// Code values, RGB by rows, of frame `i` for the radiance (cd/m2) that fell on it.
+/// Returns the code values of frame `i` (RGB by rows) for the `radiance` on its pixels, in cd/m2.
 pub fn expose(radiance: &[V3], i: usize) -> Vec<u8> {
     let one = |l: f32, pixel: usize, channel: usize| {
         let electrons = f64::from(l) * seconds(i) / SATURATION * FULL_WELL;
@@ -79,17 +82,17 @@ pub fn jpeg(values: &[u8], i: usize) -> Vec<u8> {
     out
 }
 
-/// Frame `i`'s name.
+/// Returns the file name of frame `i`.
 pub fn file_name(i: usize) -> String {
     format!("window_{}.jpg", i + 1)
 }
 
-/// The fields that every frame carries, and its own time.
+/// Returns the EXIF fields of frame `i`: they differ between frames only in the times.
 pub fn exif_fields(i: usize) -> Vec<Field> {
     let field = |tag, value| Field { tag, ifd_num: In::PRIMARY, value };
     let text = |s: &str| Value::Ascii(vec![s.as_bytes().to_vec()]);
     let ratio = |num, denom| Value::Rational(vec![Rational { num, denom }]);
-    // A second's pause between frames, as the hands move.
+    // The frames are taken a second apart.
     let taken = text(&format!("2026:09:19 17:42:{:02}", 10 + i));
     vec![
         field(Tag::Make, text("hdralign")),

@@ -1,7 +1,8 @@
-//! Layers of radiance in, one clean picture out.
+//! The denoiser: from layers of radiance to one clean picture.
 //!
 //! An edge-avoiding wavelet filter (Dammertz et al. 2010, with the variance-guided range of Schied et al. 2017) smooths
-//! the light that lies on textures, which are multiplied back afterwards untouched, so that no detail is lost.
+//! the light without the textures of the surfaces. The light is then multiplied by the textures, so that these lose no
+//! detail.
 
 use rayon::prelude::*;
 
@@ -10,7 +11,7 @@ use super::scene::Scene;
 use super::trace::Pixel;
 use super::vec3::V3;
 
-/// Filters the noisy layers and adds them up: radiance in cd/m2.
+/// Filters the noisy layers and returns the sum of all layers: radiance in cd/m2.
 pub fn develop(scene: &Scene, pixels: &[Pixel], width: usize) -> Vec<V3> {
     let rest: Vec<(V3, f32)> = pixels.iter().map(|p| (p.rest, p.rest_variance)).collect();
     let rest = smooth(pixels, rest, width, 5, |_| true);
@@ -23,10 +24,10 @@ pub fn develop(scene: &Scene, pixels: &[Pixel], width: usize) -> Vec<V3> {
     pixels.iter().zip(rest).zip(mirror).map(|((p, r), m)| p.direct + m + p.albedo * (p.sun + r)).collect()
 }
 
-/// One layer without its noise, over pixels that `may` take part.
+/// Returns `layer` without its noise, filtered over the pixels for which `may` returns true.
 ///
-/// What makes a pixel a firefly is taken off first, smoothed on its own as far as the surface goes, and put back: the
-/// light stays the same in all.
+/// The excess light of fireflies (much too bright pixels) is separated first, smoothed over the whole surface, and
+/// added again, so that the sum of the light stays the same.
 fn smooth(
     pixels: &[Pixel],
     layer: Vec<(V3, f32)>,
@@ -41,7 +42,8 @@ fn smooth(
     calm.into_iter().zip(excess).map(|(a, b)| (a.0 + b.0).max(V3::ZERO)).collect()
 }
 
-/// `levels` passes of a 5 x 5 filter with holes; `ranged` ones keep edges that stand out from the noise.
+/// Applies `levels` passes of a 5 x 5 filter, whose taps are twice as far apart in each pass. If `ranged`, it keeps
+/// edges that are stronger than the noise.
 fn wavelet(
     pixels: &[Pixel],
     mut layer: Vec<(V3, f32)>,
@@ -93,8 +95,8 @@ fn wavelet(
     layer
 }
 
-/// Fireflies brought down (and dead pixels up) to what the 24 pixels about them say is likely: no weight would ever let
-/// them melt into their neighbours.
+/// Returns `layer` in which fireflies (and too dark pixels) are limited to the range of the 24 pixels around them. The
+/// weights of the filter would keep such pixels, because they differ so much from their neighbours.
 fn despeckled(
     pixels: &[Pixel],
     layer: &[(V3, f32)],
@@ -124,10 +126,10 @@ fn despeckled(
             return (value, variance);
         }
         near[..n].sort_by(f32::total_cmp);
-        // An edge may be as dark or as light as anything about it.
+        // A pixel on an edge may be nearly as dark or light as the extremes around it.
         let spare = if p.mixed { 2.min(n / 4) } else { n / 8 };
         let (low, high, own) = (near[spare], near[n - 1 - spare], value.luminance());
-        // The pixel's error is about that of its neighbours; its own estimate of it is worthless if it is a firefly.
+        // The variance is reduced with the value, because a firefly's own estimate of its variance is much too large.
         let kept = own.clamp(low * 0.7, high * 1.3);
         let k = if own > 1e-6 { kept / own } else { 1.0 };
         (value * k, variance * (k * k).min(1.0))
@@ -135,7 +137,7 @@ fn despeckled(
     (0..pixels.len()).into_par_iter().map(one).collect()
 }
 
-/// The variance over 5 x 5 pixels: one pixel's own estimate is too noisy to judge by.
+/// Returns the mean variance over 5 x 5 pixels, because the estimate of a single pixel is too noisy.
 fn blurred_variance(layer: &[(V3, f32)], width: usize) -> Vec<f32> {
     let height = layer.len() / width;
     (0..layer.len())

@@ -1,11 +1,11 @@
-//! What stands and hangs in the room: the carpet, shelves of books, an armchair, a window seat, a chest, pictures.
+//! The furniture of the room: the carpet, shelves of books, an armchair, a window seat, a table, a chest, pictures.
 
 use super::noise::unit;
 use super::paint::{Finish, Paint};
 use super::scene::{Builder, FRONT, LEFT, RIGHT};
 use super::vec3::{V3, v3};
 
-/// The round table: the middle of its top.
+/// The middle of the top of the round table, in metres.
 pub const TABLE: V3 = v3(0.88, 0.75, 2.75);
 
 /// Adds the furniture to the scene.
@@ -20,7 +20,7 @@ pub fn build(b: &mut Builder) {
     pictures(b);
 }
 
-/// A row of books from `x` to `end` on a board at `y`, their spines at `z`.
+/// Adds a row of books from `x` to `end` on a board at `y`, with their spines at `z`.
 fn books(b: &mut Builder, x: f32, end: f32, y: f32, z: f32, tall: f32, seed: u32) {
     let dyes = [
         v3(0.30, 0.045, 0.035),
@@ -38,7 +38,7 @@ fn books(b: &mut Builder, x: f32, end: f32, y: f32, z: f32, tall: f32, seed: u32
     let mut run = 0;
     let mut look = (0.0, 0.0, V3::ZERO);
     loop {
-        // Sets of two to five volumes look alike.
+        // The volumes of a set, up to five, look alike.
         if run == 0 {
             run = 1 + (unit(seed, k, 1) * 4.5) as u32 * u32::from(unit(seed, k, 2) < 0.45);
             let dye = dyes[(unit(seed, k, 3) * 10.0) as usize % 10];
@@ -94,7 +94,7 @@ fn bookcase(b: &mut Builder) {
         &[(0.06, 0.0), (0.05, 0.012), (0.012, 0.02), (0.010, 0.035)],
         brass,
     );
-    // On top: a box and a basket.
+    // A basket and books on top.
     let weave = b.material(Paint::Weave(v3(0.42, 0.27, 0.12)), Finish::Matt);
     b.mesh.lathe(
         v3(x0 + 0.30, top + 0.04, FRONT - 0.18),
@@ -104,7 +104,7 @@ fn bookcase(b: &mut Builder) {
     books(b, x0 + 0.55, x0 + 0.90, top + 0.04, z0 + 0.05, 0.22, 19);
 }
 
-/// A wing chair with a cushion and a throw, facing its own -z before the turn.
+/// Adds a wing chair with a cushion and a throw; before it is turned by `turn` radians, it faces -z.
 fn armchair(b: &mut Builder, at: V3, turn: f32) {
     let cloth = b.material(Paint::Cloth(v3(0.13, 0.20, 0.22), v3(0.30, 0.33, 0.27), 30.0), Finish::Matt);
     let linen = b.material(Paint::Cloth(v3(0.62, 0.30, 0.10), v3(0.70, 0.60, 0.40), 11.0), Finish::Matt);
@@ -130,7 +130,7 @@ fn armchair(b: &mut Builder, at: V3, turn: f32) {
     }
 }
 
-/// The bench under the window: open below, where it is darkest.
+/// Adds the bench under the window. It is open below, which is the darkest place of the scene.
 fn seat(b: &mut Builder) {
     let wood = b.material(Paint::Wood(v3(0.30, 0.165, 0.08), 0), Finish::Coat(0.15));
     let leg = b.material(Paint::Wood(v3(0.30, 0.165, 0.08), 1), Finish::Coat(0.15));
@@ -150,7 +150,7 @@ fn seat(b: &mut Builder) {
         let m = b.material(Paint::Cloth(dyes[i].0, dyes[i].1, 7.0), Finish::Matt);
         b.mesh.cushion(v3(x, 0.64, 4.76), v3(0.19, 0.18, 0.07), 0.55, turn, m);
     }
-    // Two baskets below.
+    // Two baskets below the bench.
     let weave = b.material(Paint::Weave(v3(0.46, 0.30, 0.14)), Finish::Matt);
     for x in [-0.75, 0.42] {
         b.mesh.lathe(v3(x, 0.0, 4.66), &[(0.13, 0.0), (0.16, 0.06), (0.175, 0.15), (0.165, 0.24)], weave);
@@ -197,7 +197,7 @@ fn table(b: &mut Builder) {
     }
 }
 
-/// A chest of drawers against the right wall.
+/// Adds a chest of drawers against the right wall.
 fn chest(b: &mut Builder) {
     let wood = b.material(Paint::Wood(v3(0.34, 0.17, 0.075), 2), Finish::Coat(0.10));
     let dark = b.material(Paint::Wood(v3(0.20, 0.10, 0.05), 2), Finish::Coat(0.15));
@@ -216,7 +216,7 @@ fn chest(b: &mut Builder) {
     }
 }
 
-/// A framed picture, its middle at `at`; `right` is its unit rightward direction as one looks at it.
+/// Adds a framed picture with its middle at `at`; `right` is the unit vector to the right for a viewer who looks at it.
 fn framed(b: &mut Builder, at: V3, right: V3, w: f32, h: f32, n: u32, gilt: bool) {
     let up = v3(0.0, 1.0, 0.0);
     let out = up.cross(right) * -1.0;

@@ -1,8 +1,8 @@
-//! Triangles with smooth normals and texture coordinates, and the few shapes that everything in the room is made of.
+//! Triangles with smooth normals and texture coordinates, and the few shapes of which everything in the room consists.
 
 use super::vec3::{V3, v3};
 
-/// One corner of a triangle.
+/// A corner of a triangle.
 #[derive(Clone, Copy, Default)]
 pub struct Corner {
     pub at: V3,
@@ -10,21 +10,21 @@ pub struct Corner {
     pub uv: [f32; 2],
 }
 
-/// A triangle and the number of its material.
+/// A triangle and the index of its material.
 #[derive(Clone, Copy)]
 pub struct Triangle {
     pub corners: [Corner; 3],
     pub material: u16,
 }
 
-/// A growing heap of triangles.
+/// A list of triangles, to which the methods add shapes.
 #[derive(Default)]
 pub struct Mesh {
     pub triangles: Vec<Triangle>,
 }
 
 impl Mesh {
-    /// A flat parallelogram from `o` along `u` and `v`; uv runs 0..1 along both.
+    /// Adds a flat parallelogram from `o` along `u` and `v`; the texture coordinates run from 0 to 1 along both.
     pub fn quad(&mut self, o: V3, u: V3, v: V3, material: u16) {
         let normal = u.cross(v).unit();
         let c = |a: f32, b: f32| Corner { at: o + u * a + v * b, normal, uv: [a, b] };
@@ -33,7 +33,7 @@ impl Mesh {
         self.triangles.push(Triangle { corners: [p, r, s], material });
     }
 
-    /// A box from its lowest corner and size, turned about the vertical through `pivot` by `turn` radians.
+    /// Adds a box with the lowest corner `lo`, turned by `turn` radians about the vertical axis through `pivot`.
     pub fn block_turned(&mut self, lo: V3, size: V3, pivot: V3, turn: f32, material: u16) {
         let (x, y, z) = (v3(size.x, 0.0, 0.0), v3(0.0, size.y, 0.0), v3(0.0, 0.0, size.z));
         let faces = [(lo, x, y), (lo + z, x, y), (lo, z, y), (lo + x, z, y), (lo, x, z), (lo + y, x, z)];
@@ -43,12 +43,13 @@ impl Mesh {
         }
     }
 
-    /// A box from its lowest corner and size.
+    /// Adds a box with the lowest corner `lo`.
     pub fn block(&mut self, lo: V3, size: V3, material: u16) {
         self.block_turned(lo, size, lo, 0.0, material);
     }
 
-    /// Any smooth surface: `f` gives the point at (u, v) in 0..1 squared; normals come from its differences.
+    /// Adds a smooth surface. `f` returns the point at (u, v), both from 0 to 1; normals are computed from differences
+    /// of `f`.
     pub fn surface(&mut self, nu: usize, nv: usize, material: u16, f: impl Fn(f32, f32) -> V3) {
         let corner = |i: usize, j: usize| {
             let (u, v) = (i as f32 / nu as f32, j as f32 / nv as f32);
@@ -72,7 +73,8 @@ impl Mesh {
         }
     }
 
-    /// A turned shape about a vertical axis: `profile` lists (radius, height) from the bottom up, joined smoothly.
+    /// Adds a solid of revolution about a vertical axis; `profile` lists (radius, height) from the bottom up, which are
+    /// joined by a smooth curve.
     pub fn lathe(&mut self, foot: V3, profile: &[(f32, f32)], material: u16) {
         let at = |v: f32| {
             let n = profile.len() - 1;
@@ -92,7 +94,7 @@ impl Mesh {
         });
     }
 
-    /// A soft box (superellipsoid): `half` its half sizes, `power` 1 for an ellipsoid, towards 0 for a box.
+    /// Adds a soft box (superellipsoid) with the half sizes `half`; `power` is 1 for an ellipsoid and near 0 for a box.
     pub fn cushion(&mut self, centre: V3, half: V3, power: f32, turn: f32, material: u16) {
         let soft = |x: f32| x.signum() * x.abs().powf(power);
         let n = if half.length() > 0.08 { 40 } else { 14 };
@@ -103,7 +105,7 @@ impl Mesh {
         });
     }
 
-    /// A round tube along `path` (0..1).
+    /// Adds a round tube along the curve `path`, whose parameter runs from 0 to 1.
     pub fn tube(&mut self, rings: usize, radius: f32, material: u16, path: impl Fn(f32) -> V3) {
         self.surface(8, rings, material, |u, v| {
             let (t, b) = (path(v + 0.01) - path(v - 0.01)).unit().frame();

@@ -1,15 +1,17 @@
 //! Renders the project's own test bracket, `testdata/window/`: a room on a late afternoon, with a bright window.
 //!
-//! It uses nothing of hdralign, so that what it says about the pictures (motion, response, radiance) is an independent
-//! truth. The line, one file each:
+//! It uses no code of hdralign, so that the motion, response and radiance that it records are an independent truth. The
+//! stages, one file each:
 //!
 //!     room, furniture, still_life -> scene -> trace -> denoise -> motion -> camera -> truth
 //!
-//! `room`, `furniture` and `still_life` make triangles ([`mesh`]) with [`paint`] on them; [`outdoors`] is what the window
-//! looks out on; [`trace`] is a path tracer over a [`bvh`]; [`motion`] resamples its one large picture for each hand-held
-//! frame; [`camera`] exposes, adds noise, and encodes; [`truth`] writes down what is known.
+//! `room`, `furniture` and `still_life` make triangles ([`mesh`]) with a [`paint`]; [`outdoors`] is the landscape
+//! outside of the window; [`trace`] is a path tracer that uses a [`bvh`] and renders one large picture; [`motion`]
+//! resamples this picture for each hand-held frame; [`camera`] exposes, adds noise, and encodes; [`truth`] records the
+//! truth.
 //!
-//! Everything random is drawn from counters (pixel, sample), so that the number of threads changes nothing.
+//! Random numbers are computed from counters (pixel, sample), so that the result does not depend on the number of
+//! threads.
 
 pub mod bvh;
 pub mod camera;

@@ -1,4 +1,4 @@
-//! How the camera moved between the frames, and the large picture resampled as each frame saw it.
+//! The motion of the camera between the frames, and the resampling of the large picture for each frame.
 //!
 //! Convention, as everywhere in hdralign: a homography maps pixel coordinates of the reference frame (x right, y down,
 //! (0, 0) the centre of the top-left pixel) to pixel coordinates of the frame.
@@ -11,7 +11,7 @@ use super::vec3::{V3, v3};
 /// A 3 x 3 matrix by rows.
 pub type Matrix = [[f64; 3]; 3];
 
-/// One frame's motion: turns in degrees, shift in pixels.
+/// The motion of one frame: rotations in degrees, shift in pixels.
 pub struct Motion {
     pub pan: f64,
     pub tilt: f64,
@@ -19,7 +19,7 @@ pub struct Motion {
     pub shift: [f64; 2],
 }
 
-/// The hands: the reference in the middle holds still.
+/// The motion of each frame; the middle one, the reference, does not move.
 pub const HANDS: [Motion; 5] = [
     Motion { pan: 0.62, tilt: -0.35, roll: -0.48, shift: [-6.3, 9.7] },
     Motion { pan: -0.38, tilt: 0.31, roll: 0.83, shift: [11.6, -4.4] },
@@ -41,14 +41,14 @@ pub fn inverse(m: &Matrix) -> Matrix {
     std::array::from_fn(|i| std::array::from_fn(|j| minor(j, i) / det))
 }
 
-/// Where `m` takes the point.
+/// Returns the point to which `m` maps the point (x, y).
 pub fn apply(m: &Matrix, x: f64, y: f64) -> [f64; 2] {
     let row = |r: &[f64; 3]| r[0] * x + r[1] * y + r[2];
     let w = row(&m[2]);
     [row(&m[0]) / w, row(&m[1]) / w]
 }
 
-/// T K Rx(tilt) Ry(pan) Rz(roll) K^-1: reference pixel -> frame pixel.
+/// Returns the homography T K Rx(tilt) Ry(pan) Rz(roll) K^-1: reference pixel -> frame pixel.
 pub fn homography(m: &Motion) -> Matrix {
     let turn = |degrees: f64| degrees.to_radians().sin_cos();
     let ((sx, cx), (sy, cy), (sz, cz)) = (turn(m.tilt), turn(m.pan), turn(m.roll));
@@ -58,11 +58,12 @@ pub fn homography(m: &Motion) -> Matrix {
     let k = [[FOCAL, 0.0, (WIDTH as f64 - 1.0) / 2.0], [0.0, FOCAL, (HEIGHT as f64 - 1.0) / 2.0], [0.0, 0.0, 1.0]];
     let t = [[1.0, 0.0, m.shift[0]], [0.0, 1.0, m.shift[1]], [0.0, 0.0, 1.0]];
     let h = product(&product(&t, &k), &product(&product(&product(&x, &y), &z), &inverse(&k)));
-    // The scale of a homography is free; the last element is 1 by custom.
+    // The scale of a homography is arbitrary; by convention the last element is 1.
     std::array::from_fn(|i| std::array::from_fn(|j| h[i][j] / h[2][2]))
 }
 
-/// The large picture: pixel (i, j) has its outer corner at `left + i / scale` of the reference frame's edge.
+/// The large picture. Its pixel (i, j) has its upper left corner at (left + i / scale, top + j / scale), in pixels from
+/// the upper left corner of the reference frame.
 pub struct Plate {
     pub pixels: Vec<V3>,
     pub width: usize,
@@ -73,7 +74,8 @@ pub struct Plate {
 }
 
 impl Plate {
-    /// Radiance at the reference frame's pixel coordinates: Catmull-Rom, kept within the nearest four (no ringing).
+    /// Returns the radiance at the pixel coordinates (x, y) of the reference frame, by Catmull-Rom interpolation,
+    /// limited to the range of the nearest four pixels, so that there is no ringing.
     fn at(&self, x: f64, y: f64) -> V3 {
         let (u, v) = ((x + 0.5 - self.left) * self.scale - 0.5, (y + 0.5 - self.top) * self.scale - 0.5);
         let (i, j) = (u.floor(), v.floor());
@@ -98,7 +100,7 @@ impl Plate {
         sum.max(lo).min(hi)
     }
 
-    /// The radiance that falls on each of the frame's pixels: the mean of 3 x 3 points in it.
+    /// Returns the radiance on each pixel of the frame with the homography `h`: the mean of 3 x 3 points in the pixel.
     pub fn frame(&self, h: &Matrix) -> Vec<V3> {
         let back = inverse(h);
         (0..WIDTH * HEIGHT)

@@ -1,23 +1,25 @@
-//! What the window looks out on, as a function of direction alone: sky, clouds, mountains, hills, trees, a garden.
+//! The landscape outside of the window, as a function of direction alone: sky, clouds, mountains, hills, trees, a
+//! garden.
 //!
-//! Values are cd/m2 in linear Rec. 709. It is a painter's landscape: layers from far to near, each with a ridge line
-//! and a texture, all hazed towards the low sun at the upper left.
+//! Values are cd/m2 in linear Rec. 709. The landscape consists of layers from far to near, each with a ridge line and a
+//! texture, with haze that increases towards the low sun at the upper left.
 
 use super::noise::{fbm, unit, value};
 use super::vec3::{V3, smooth, v3};
 
-/// The direction to the sun.
+/// Returns the direction to the sun, as a unit vector.
 pub fn sun() -> V3 {
     v3(-0.50, 0.47, 0.73).unit()
 }
 
-/// What the sun shines on a surface that faces it: lux, as a colour.
+/// Illuminance by the sun of a surface that faces it, in lux, as a colour.
 pub const SUN_LUX: V3 = v3(82_000.0, 62_000.0, 37_000.0);
 
-/// The tangent of the sun's half width, a little larger than life: a soft edge for its patches.
+/// Tangent of the angular radius of the sun; it is larger than the real one, so that patches of sunlight have soft
+/// edges.
 pub const SUN_SPREAD: f32 = 0.009;
 
-/// Radiance from direction `d` (unit, towards +z), without the sun's disc.
+/// Returns the radiance from direction `d` (a unit vector, towards +z), without the disc of the sun.
 pub fn radiance(d: V3) -> V3 {
     let (az, el) = (d.x.atan2(d.z), d.y.asin());
     let towards = d.dot(sun()).max(0.0);
@@ -35,7 +37,7 @@ fn sky(az: f32, el: f32, towards: f32) -> V3 {
     let pale = v3(8400.0, 7200.0, 5300.0);
     let mut c = pale.mix(blue, smooth(-0.04, 0.20, up).powf(0.75));
     c += v3(26_000.0, 19_000.0, 10_500.0) * (0.5 * towards.powi(14) + 1.5 * towards.powi(60));
-    // Cumulus: the noise is stretched along the horizon, more so lower down, as clouds in ranks are.
+    // Cumulus clouds: the noise is stretched along the horizon, and more so lower down, as distant clouds look.
     let s = 0.10 + 0.55 * up;
     let (x, y) = (az / s * 0.36 + 3.1, (up + 0.02).ln() * 2.3);
     let warp = fbm(x * 1.3, y * 1.3, 7.0, 3) - 0.5;
@@ -84,7 +86,7 @@ fn hills(c: V3, az: f32, el: f32, haze: V3) -> V3 {
             continue;
         }
         let depth = base - el;
-        // Fields: a warped patchwork in perspective, with hedges between.
+        // Fields: a distorted patchwork in perspective, with hedges between the fields.
         let (x, y) = (az * (26.0 - 4.0 * fi) + 14.0 * depth, (depth + 0.004).ln() * 2.6);
         let (wx, wy) = (x + 0.9 * fbm(x * 0.6, y * 0.6, s, 2), y + 0.9 * fbm(x * 0.5, y * 0.5, s + 9.0, 2));
         let (px, py) = (wx.floor() as i32 as u32, wy.floor() as i32 as u32);
@@ -114,7 +116,8 @@ fn hills(c: V3, az: f32, el: f32, haze: V3) -> V3 {
     c
 }
 
-/// Round tree tops on a jittered grid of `pitch` cells a radian: is one here, and how lit is it?
+/// Returns whether a round tree top is in this direction, and how strongly it is lit. The tree tops are on a jittered
+/// grid of `pitch` cells per radian.
 fn canopies(az: f32, el: f32, pitch: f32, seed: f32) -> (bool, f32) {
     let (x, y) = (az * pitch, el * pitch * 2.2);
     let mut found = (false, fbm(az * 420.0, el * 420.0, seed, 3));
@@ -136,7 +139,8 @@ fn canopies(az: f32, el: f32, pitch: f32, seed: f32) -> (bool, f32) {
     found
 }
 
-/// The near ground: a lawn mown in stripes, a path, beds of flowers, a hedge and a picket fence behind them.
+/// Returns `c` or, in front of it, the near ground: a lawn mown in stripes, a path, beds of flowers, a hedge and a
+/// picket fence.
 fn garden(c: V3, az: f32, el: f32) -> V3 {
     let mut c = c;
     let bushes = -0.088 + 0.022 * fbm(az * 34.0, 1.0, 4.0, 4) + 0.012 * (az * 23.0 + 1.0).sin();
@@ -186,7 +190,7 @@ fn garden(c: V3, az: f32, el: f32) -> V3 {
     c
 }
 
-/// One old tree that frames the view on the right: a leaning trunk, boughs, and leaves in clumps.
+/// Returns `c` or, in front of it, an old tree on the right of the view: a leaning trunk, boughs, and leaves in clumps.
 fn tree(c: V3, az: f32, el: f32) -> V3 {
     let mut c = c;
     let bark = v3(700.0, 470.0, 290.0) * (0.3 + 1.2 * fbm(az * 500.0, el * 90.0, 3.0, 3));

@@ -1,17 +1,17 @@
-//! What surfaces look like: procedural colour at a point, and how the surface throws light back.
+//! The look of surfaces: procedural colour at a point, and how the surface reflects light.
 
 use super::noise::{fbm, unit, value, vary};
 use super::vec3::{V3, smooth, v3};
 
-/// How a surface throws light back. Roughness is the tangent of the lobe's half angle.
+/// How a surface reflects light. Roughness is the tangent of the half angle of the reflection lobe.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Finish {
     Matt,
-    /// Matt under a clear coat (varnish, glaze): Fresnel reflection of a lobe this rough.
+    /// Matt under a clear coat (varnish, glaze), with a Fresnel reflection of this roughness.
     Coat(f32),
     Metal(f32),
     Glass,
-    /// A thin sheet that lets this share of its light through (cloth, leaves).
+    /// A thin sheet (cloth, leaves) that transmits this share of the light and reflects the rest.
     Sheet(f32),
 }
 
@@ -19,29 +19,30 @@ pub enum Finish {
 #[derive(Clone, Copy)]
 pub enum Paint {
     Plain(V3),
-    /// Plaster: fine blotches, trowel marks.
+    /// Plaster with fine blotches and trowel marks.
     Plaster(V3),
-    /// Boards along z, this wide.
+    /// Boards along z, of this width in metres.
     Planks(f32),
-    /// Wood with the grain along an axis (0, 1, 2).
+    /// Wood with the grain along an axis (0, 1 or 2).
     Wood(V3, usize),
     Rug,
-    /// A book's spine and covers; the number varies it.
+    /// Spine and covers of a book; each number gives another book.
     Book(V3, u32),
-    /// A picture of its own for each number.
+    /// A painting; each number gives another one.
     Picture(u32),
-    /// Woven cloth; stripes where the second colour differs.
+    /// Woven cloth in the first colour, with stripes in the second; the number of stripes per unit of the texture
+    /// coordinate.
     Cloth(V3, V3, f32),
     /// Glazed pottery with painted bands.
     Pottery(V3, V3),
     Leaf(V3, u32),
-    /// Speckled: terracotta, fruit, bread.
+    /// Speckled material: terracotta, fruit, bread.
     Speckle(V3, f32),
-    /// A basket's weave.
+    /// Wickerwork of a basket.
     Weave(V3),
 }
 
-/// Paint and finish together.
+/// The paint and the finish of a surface.
 #[derive(Clone, Copy)]
 pub struct Material {
     pub paint: Paint,
@@ -49,7 +50,8 @@ pub struct Material {
 }
 
 impl Paint {
-    /// About the mean of [`Paint::colour`] over the surface: enough for the light that it throws on others.
+    /// Returns approximately the mean of [`Paint::colour`] over the surface, which is enough for the light that it
+    /// reflects to others.
     pub fn mean(&self) -> V3 {
         match *self {
             Paint::Plain(c) | Paint::Plaster(c) | Paint::Speckle(c, _) => c,
@@ -65,7 +67,7 @@ impl Paint {
         }
     }
 
-    /// The reflectance at `p` (metres), texture coordinates `uv`.
+    /// Returns the reflectance at the point `p` (in metres) with the texture coordinates `uv`.
     pub fn colour(&self, p: V3, uv: [f32; 2]) -> V3 {
         match *self {
             Paint::Plain(c) => c,
@@ -101,7 +103,7 @@ fn plaster(c: V3, p: V3) -> V3 {
     c * (1.0 + 0.16 * broad + 0.15 * trowel + 0.07 * grit - 0.10 * (1.0 - smooth(0.0, 0.008, crack)))
 }
 
-/// Rings and pores of one piece of wood: `along` the grain, (`a`, `b`) across it.
+/// Returns the colour of wood with rings and pores, at a position `along` the grain and (`a`, `b`) across it.
 fn grain(c: V3, along: f32, a: f32, b: f32, seed: f32) -> V3 {
     let bend = fbm(along * 1.1 + seed, a * 7.0, seed + 0.01, 3);
     let ring = ((a * 34.0 + b * 21.0 + 9.0 * bend + seed) * 1.7).sin() * 0.5 + 0.5;
@@ -138,7 +140,7 @@ fn planks(w: f32, p: V3) -> V3 {
     c * ((0.18 + 0.82 * smooth(0.0006, 0.003, gap)) * (0.3 + 0.7 * smooth(0.0006, 0.003, end)) * (1.0 - knot))
 }
 
-/// A knotted carpet in whole knots: borders, a field of small flowers, a medallion.
+/// Returns the colour of a knotted carpet, uniform in each knot: borders, a field of small flowers, a medallion.
 fn rug(uv: [f32; 2], p: V3) -> V3 {
     let (nx, ny) = (280.0, 236.0);
     let (kx, ky) = ((uv[0] * nx).floor(), (uv[1] * ny).floor());
@@ -149,7 +151,7 @@ fn rug(uv: [f32; 2], p: V3) -> V3 {
         v3(0.50, 0.27, 0.06),
         v3(0.09, 0.15, 0.075),
     );
-    // Folded into one quarter: carpets mirror.
+    // The four quarters of a carpet are mirror images.
     let (x, y) = ((kx - nx / 2.0 + 0.5).abs(), (ky - ny / 2.0 + 0.5).abs());
     let edge = (nx / 2.0 - x).min(ny / 2.0 - y);
     let along = if nx / 2.0 - x < ny / 2.0 - y { y } else { x };
@@ -216,7 +218,7 @@ fn book(c: V3, n: u32, uv: [f32; 2], p: V3) -> V3 {
     if rules.iter().any(|r| (v - r).abs() < 0.008) {
         return gilt * worn;
     }
-    // Lettering: short marks in one or two columns, as on a spine.
+    // Lettering: short marks in columns, as on the spine of a book.
     let (top, foot) = (band - 0.06, 0.34 + 0.2 * unit(n, 3, 3));
     if v < top && v > foot && (u - 0.5).abs() < 0.2 {
         let row = (v * 46.0).floor() as u32;
@@ -230,7 +232,8 @@ fn book(c: V3, n: u32, uv: [f32; 2], p: V3) -> V3 {
     (if label { c * 0.3 } else { c }) * (worn * round)
 }
 
-/// Small paintings: a sea, a still life of discs, hills at night, flowers, a chart of colour patches.
+/// Returns the colour of painting `n` at (u, v): a sea, a still life of discs, hills at night, flowers, a chart of
+/// colour patches.
 fn picture(n: u32, u: f32, v: f32) -> V3 {
     let brush = fbm(u * 40.0 + 10.0 * v, v * 90.0, n as f32, 3);
     let k = 0.75 + 0.5 * brush;

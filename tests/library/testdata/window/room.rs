@@ -35,7 +35,7 @@ fn shell(b: &mut Builder) {
     panel(x1, RIGHT, 0.0, CEILING);
     panel(x0, x1, 0.0, y0);
     panel(x0, x1, y1, CEILING);
-    // The reveal reaches a little past the portal, so that no light comes in round its edge.
+    // The reveal of the window extends a little beyond the plane outside, so that no light enters around the edge.
     let depth = v3(0.0, 0.0, OUTSIDE - FRONT + 0.02);
     for (o, side) in [
         (v3(x0, y0, FRONT), v3(0.0, y1 - y0, 0.0)),
@@ -50,7 +50,7 @@ fn shell(b: &mut Builder) {
     }
 }
 
-/// Painted boards up to the height of a chair's back on the side walls, skirting everywhere.
+/// Adds painted boards on the side walls, up to the height of a chair's back, and skirting boards on all walls.
 fn panelling(b: &mut Builder) {
     let rail = b.material(Paint::Speckle(v3(0.20, 0.27, 0.26), 0.10), Finish::Coat(0.3));
     for k in 0..60 {
@@ -85,7 +85,7 @@ fn window(b: &mut Builder) {
     bar(x0, x1, y1 - f, y1, 0.08);
     bar(x0, x0 + f, y0, y1, 0.08);
     bar(x1 - f, x1, y0, y1, 0.08);
-    // Three casements; each with glazing bars; a stouter transom across the top third.
+    // Three casements, each with glazing bars, and a thicker transom across the top third.
     let transom = 1.90;
     bar(x0, x1, transom - 0.028, transom + 0.028, 0.075);
     let third = (x1 - x0) / 3.0;
@@ -119,7 +119,7 @@ fn curtains(b: &mut Builder) {
     for (from, to, seed, tied) in [(x0 - 0.36, x0 + 0.42, 3.0, -0.02), (x1 - 0.22, x1 + 0.13, 8.0, 0.08)] {
         b.mesh.surface(220, 60, cloth, |u, v| {
             let y = top - (top - 0.06) * v;
-            // Gathered at the tie, a third of the way up; folds fan out from there.
+            // The curtain is gathered at the tie, a third of the way up; the folds fan out from there.
             let waist = (-((y - 1.05) / 0.42).powi(2)).exp();
             let (middle, half) = ((from + to) / 2.0 + (tied - 0.12) * waist, (to - from) / 2.0 * (1.0 - 0.52 * waist));
             let fold = (u * 40.0 + 1.6 * fbm(u * 4.0, v * 1.5, seed, 2)).sin();

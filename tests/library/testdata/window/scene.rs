@@ -6,22 +6,28 @@ use super::outdoors;
 use super::paint::{Finish, Material, Paint};
 use super::vec3::{V3, v3};
 
-/// Size of a frame in pixels.
+/// Width of a frame in pixels.
 pub const WIDTH: usize = 1200;
+/// Height of a frame in pixels.
 pub const HEIGHT: usize = 800;
 
-/// Focal length in pixels: 24 mm on a full frame.
+/// Focal length in pixels, for 24 mm on a sensor of 36 mm width.
 pub const FOCAL: f64 = WIDTH as f64 * 24.0 / 36.0;
 
-/// The room: its walls (m).
+/// The x of the left wall, in metres.
 pub const LEFT: f32 = -2.7;
+/// The x of the right wall, in metres.
 pub const RIGHT: f32 = 2.7;
+/// The z of the wall behind the camera, in metres.
 pub const BACK: f32 = -2.0;
+/// The z of the wall with the window, in metres.
 pub const FRONT: f32 = 5.0;
+/// The y of the ceiling, in metres; the floor is at 0.
 pub const CEILING: f32 = 2.8;
 
-/// The window in the front wall: lowest and highest x and y, and the plane outside it (m).
+/// The window in the front wall: smallest x, largest x, smallest y and largest y, in metres.
 pub const WINDOW: [f32; 4] = [-1.72, 1.28, 0.62, 2.46];
+/// The z of the plane outside of the window through which light enters, in metres.
 pub const OUTSIDE: f32 = 5.26;
 
 /// Meshes and materials while the scene is being built.
@@ -32,13 +38,13 @@ pub struct Builder {
 }
 
 impl Builder {
-    /// A new material's number.
+    /// Adds a material and returns its index.
     pub fn material(&mut self, paint: Paint, finish: Finish) -> u16 {
         self.materials.push(Material { paint, finish });
         (self.materials.len() - 1) as u16
     }
 
-    /// A new matt material in one colour.
+    /// Adds a matt material in one colour and returns its index.
     pub fn plain(&mut self, r: f32, g: f32, b: f32) -> u16 {
         self.material(Paint::Plain(v3(r, g, b)), Finish::Matt)
     }
@@ -63,7 +69,8 @@ impl Scene {
         let sky = (0..SKY_W * SKY_H)
             .map(|k| {
                 let (i, j) = (k % SKY_W, k / SKY_W);
-                // The mean of four directions: this map only lights things, it is never seen.
+                // The mean of four directions is enough, because this map is only used for lighting and is never
+                // visible.
                 (0..4).fold(V3::ZERO, |sum, q| {
                     let (u, v) = (
                         (i as f32 + 0.25 + 0.5 * (q % 2) as f32) / SKY_W as f32,
@@ -77,7 +84,7 @@ impl Scene {
         Scene { bvh: Bvh::new(b.mesh.triangles), materials: b.materials, sky }
     }
 
-    /// The outdoors' radiance, coarsely: what lights a diffuse surface.
+    /// Returns the approximate radiance from outdoors in direction `d`, for the lighting of diffuse surfaces.
     pub fn skylight(&self, d: V3) -> V3 {
         let (az, el) = (d.x.atan2(d.z), d.y.asin());
         let (u, v) = (az / std::f32::consts::PI + 0.5, el / std::f32::consts::PI + 0.5);
@@ -91,7 +98,7 @@ impl Scene {
     }
 }
 
-/// The ray through the reference frame's pixel coordinates (x, y).
+/// Returns origin and direction of the ray through the pixel coordinates (x, y) of the reference frame.
 pub fn camera_ray(x: f64, y: f64) -> (V3, V3) {
     let from = v3(0.30, 1.46, -1.15);
     let to = v3(-0.05, 1.16, 5.0);

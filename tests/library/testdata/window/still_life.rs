@@ -1,4 +1,4 @@
-//! Small things that make the room lived in: flowers, fruit, glass, plants, a cat on the window seat.
+//! Small things in the room: flowers, fruit, glass, plants, a cat on the window seat.
 
 use super::furniture::TABLE;
 use super::noise::unit;
@@ -34,7 +34,7 @@ fn bouquet(b: &mut Builder, at: V3) {
         let axis = (top - neck).unit();
         let (side, other) = axis.frame();
         for p in 0..9u32 {
-            // Petals stand in two rings about the stem's end, each a curved sheet.
+            // The petals form two rings around the end of the stem; each petal is a curved sheet.
             let ring = p % 2;
             let t = p as f32 * 0.698 + a;
             let out = side * t.cos() + other * t.sin();
@@ -66,7 +66,7 @@ fn bouquet(b: &mut Builder, at: V3) {
     }
 }
 
-/// A leaf from `root` along `d`, drooping towards its tip.
+/// Adds a leaf from `root` along `d` that droops towards its tip.
 fn blade(b: &mut Builder, root: V3, d: V3, long: f32, wide: f32, c: V3, n: u32) {
     let m = b.material(Paint::Leaf(c, n), Finish::Sheet(0.4));
     let side = d.cross(v3(0.0, 1.0, 0.0)).unit();
@@ -119,7 +119,7 @@ fn fruit(b: &mut Builder, at: V3) {
     }
 }
 
-/// A cup, a book left open, a glass globe.
+/// Adds a cup, an open book and a glass globe.
 fn tea(b: &mut Builder) {
     let china = b.material(Paint::Pottery(v3(0.80, 0.78, 0.72), v3(0.40, 0.06, 0.05)), Finish::Coat(0.04));
     let cup = TABLE + v3(0.12, 0.0, -0.30);
@@ -147,7 +147,7 @@ fn tea(b: &mut Builder) {
     }
 }
 
-/// Pots of herbs and coloured bottles on the window sill.
+/// Adds pots of herbs and coloured bottles on the window sill.
 fn sill(b: &mut Builder) {
     let y = WINDOW[2];
     for (k, x) in [(0u32, -0.98), (1, 0.92)] {
@@ -193,7 +193,7 @@ fn sill(b: &mut Builder) {
     }
 }
 
-/// A tabby that sits and looks out.
+/// Adds a tabby cat that sits and looks out of the window.
 fn cat(b: &mut Builder, at: V3) {
     let fur = b.material(Paint::Speckle(v3(0.42, 0.20, 0.075), 0.55), Finish::Matt);
     let white = b.material(Paint::Speckle(v3(0.62, 0.54, 0.44), 0.3), Finish::Matt);
@@ -220,7 +220,7 @@ fn cat(b: &mut Builder, at: V3) {
     });
 }
 
-/// A tall plant in the corner, its leaves against the light.
+/// Adds a tall plant in the corner, with its leaves against the light.
 fn tall_plant(b: &mut Builder, at: V3) {
     let weave = b.material(Paint::Weave(v3(0.50, 0.34, 0.17)), Finish::Matt);
     b.mesh.lathe(at, &[(0.15, 0.0), (0.175, 0.10), (0.185, 0.24), (0.17, 0.34), (0.155, 0.34), (0.0, 0.30)], weave);

@@ -1,8 +1,9 @@
-//! The path tracer: a view in, layers of radiance (cd/m2) out.
+//! The path tracer: from a view to layers of radiance (cd/m2).
 //!
-//! Light comes in through the window only, so each diffuse point asks the window (as a portal) for skylight and the
-//! sun for sunlight. What a pixel sees is kept in layers, each of which the denoiser can treat as it deserves: what is
-//! seen directly or in a mirror, the sun's light, and the light of sky and walls; the last two without the texture.
+//! Light enters only through the window, so each diffuse point samples the window (a portal) for skylight, and the sun
+//! for sunlight. The radiance of a pixel is stored in layers, which the denoiser treats differently: what is seen
+//! directly, what is seen in a mirror, the light of the sun, and the light of sky and walls. The last two layers are
+//! without the texture of the surface.
 
 use rayon::prelude::*;
 
@@ -13,56 +14,59 @@ use super::paint::Finish;
 use super::scene::{OUTSIDE, Scene, WINDOW, camera_ray};
 use super::vec3::{V3, v3};
 
-/// Diffuse bounces that are followed at most.
+/// Largest number of diffuse bounces of a path.
 const BOUNCES: usize = 7;
 
-/// A rectangle of the reference frame's plane, in its pixels, and how finely to look at it.
+/// A rectangle in the plane of the reference frame, and the resolution and number of samples of its picture.
 #[derive(Clone, Copy)]
 pub struct View {
-    /// The outer corner of the first pixel, in the frame's pixel coordinates.
+    /// Left edge of the first pixel, in pixels from the left edge of the frame.
     pub left: f64,
+    /// Upper edge of the first pixel, in pixels from the upper edge of the frame.
     pub top: f64,
-    /// Picture pixels for each frame pixel.
+    /// Pixels of the picture per pixel of the frame, along each side.
     pub scale: f64,
     pub width: usize,
     pub height: usize,
     pub samples: u32,
 }
 
-/// What one pixel holds after all its samples.
+/// The layers of one pixel, as means over its samples.
 #[derive(Clone, Copy, Default)]
 pub struct Pixel {
-    /// Seen straight through the window: exact but for its edges.
+    /// Radiance seen directly through the window; it has no noise except at edges.
     pub direct: V3,
-    /// Seen in a coat, a metal, through glass.
+    /// Radiance seen as a reflection in a coat or metal, or through glass.
     pub mirror: V3,
     /// Mean reflectance of the matt part.
     pub albedo: V3,
-    /// Sunlight over the albedo, and all other light over the albedo.
+    /// Reflected sunlight divided by the albedo.
     pub sun: V3,
+    /// All other reflected light divided by the albedo.
     pub rest: V3,
-    /// Variances of the means of the luminances of `rest` and of `mirror`.
+    /// Variance of the mean luminance of `rest`.
     pub rest_variance: f32,
+    /// Variance of the mean luminance of `mirror`.
     pub mirror_variance: f32,
     pub normal: V3,
     pub depth: f32,
-    /// The first surface's material; `u16::MAX` outdoors.
+    /// Index of the material of the first surface; `u16::MAX` outdoors.
     pub material: u16,
-    /// Did its samples meet more than one material? Then it is an edge.
+    /// Whether the samples met more than one material, so that the pixel is on an edge.
     pub mixed: bool,
 }
 
-/// Where a path is, on what.
+/// A point of a path on a surface.
 struct Point {
     at: V3,
-    /// Unit shading normal on the viewer's side.
+    /// Unit shading normal on the side of the viewer.
     normal: V3,
     colour: V3,
     finish: Finish,
     material: u16,
 }
 
-/// One sample of a pixel, in the same layers.
+/// One sample of a pixel, in the layers of [`Pixel`].
 #[derive(Default)]
 struct Sample {
     direct: V3,
@@ -73,7 +77,7 @@ struct Sample {
     first: Option<(V3, f32, u16)>,
 }
 
-/// Renders `view`, row by row; each pixel depends only on its own number.
+/// Renders `view`, row by row; each pixel depends only on its position.
 pub fn render(scene: &Scene, view: View) -> Vec<Pixel> {
     (0..view.height).into_par_iter().flat_map_iter(|y| (0..view.width).map(move |x| pixel(scene, view, x, y))).collect()
 }
@@ -99,14 +103,15 @@ fn pixel(scene: &Scene, view: View, x: usize, y: usize) -> Pixel {
         rest2 += one.rest.luminance().powi(2);
         sums.rest += one.rest;
         if let Some((normal, depth, material)) = one.first {
-            // The first sample's surface stands for the pixel: a mean of two surfaces' normals is like neither.
+            // The pixel has the normal of the first sample's surface, because the mean of the normals of two surfaces
+            // is the normal of neither.
             if seen == 0 {
                 (sums.normal, sums.depth, sums.material) = (normal, depth, material);
             }
             sums.mixed |= material != sums.material;
             seen += 1;
         }
-        // The view through the window has no noise but its own detail.
+        // The view through the window has no noise apart from its detail, so 12 samples are enough.
         if taken == 12 && seen == 0 {
             break;
         }
@@ -143,7 +148,7 @@ fn point(scene: &Scene, o: V3, d: V3, hit: Hit, exact: bool) -> Point {
     Point { at, normal, colour, finish: m.finish, material: t.material }
 }
 
-/// Follows mirrors and glass until something matt or the outdoors.
+/// Follows a path through mirrors and glass until it meets a matt surface or the outdoors.
 fn sample(scene: &Scene, mut o: V3, mut d: V3, s: &mut Sampler) -> Sample {
     let mut out = Sample::default();
     let mut weight = V3::ONE;
@@ -171,7 +176,7 @@ fn sample(scene: &Scene, mut o: V3, mut d: V3, s: &mut Sampler) -> Sample {
                 d = above(s.cone(bounce.unit(), rough), p.normal);
             }
             Finish::Glass => {
-                // Entering or leaving is reported by which way the mesh's own normal points; bodies are closed.
+                // Bodies are closed, so the direction of the normal of the mesh shows whether the ray enters or leaves.
                 let t = &scene.bvh.triangles[hit.triangle as usize];
                 let [a, b, c] = t.corners;
                 let outward = a.normal * (1.0 - hit.u - hit.v) + b.normal * hit.u + c.normal * hit.v;
@@ -190,7 +195,7 @@ fn sample(scene: &Scene, mut o: V3, mut d: V3, s: &mut Sampler) -> Sample {
                 let share = (f / (f + 0.35 * (1.0 - f))).clamp(0.15, 0.85);
                 out.mirror += weight * glint(scene, &p, d, rough, s) * f;
                 if s.draw() < share {
-                    // What is matt is still there for the denoiser's sake, unlit by this sample.
+                    // The albedo of the matt part is recorded for the denoiser, although this sample does not light it.
                     out.albedo = p.colour;
                     weight = weight * (f / share);
                     d = above(s.cone(bounce.unit(), rough), p.normal);
@@ -219,7 +224,7 @@ fn sample(scene: &Scene, mut o: V3, mut d: V3, s: &mut Sampler) -> Sample {
     out
 }
 
-/// Schlick's reflectance of glass or varnish.
+/// Returns the reflectance of glass or varnish, by Schlick's approximation.
 fn fresnel(cos: f32) -> f32 {
     0.04 + 0.96 * (1.0 - cos.clamp(0.0, 1.0)).powi(5)
 }
@@ -229,7 +234,7 @@ fn above(d: V3, n: V3) -> V3 {
     if k > 0.01 { d } else { (d + n * (0.02 - 2.0 * k.min(0.0))).unit() }
 }
 
-/// The sun's reflection in a lobe of width `rough`, as radiance.
+/// Returns the radiance of the reflection of the sun in a lobe of width `rough`.
 fn glint(scene: &Scene, p: &Point, d: V3, rough: f32, s: &mut Sampler) -> V3 {
     let l = outdoors::sun();
     let half = (l - d).unit();
@@ -243,7 +248,7 @@ fn glint(scene: &Scene, p: &Point, d: V3, rough: f32, s: &mut Sampler) -> V3 {
     (lit * lobe).min(V3::ONE * 60_000.0)
 }
 
-/// Sunlight (lux on a facing surface) that reaches `at` from direction `l`.
+/// Returns the sunlight (in lux on a surface that faces it) that reaches `at` from direction `l`.
 fn sunlight(scene: &Scene, at: V3, l: V3) -> V3 {
     let t = (OUTSIDE - at.z) / l.z;
     let q = at + l * t;
@@ -255,12 +260,14 @@ fn sunlight(scene: &Scene, at: V3, l: V3) -> V3 {
     }
 }
 
-/// Is anything but glass in the way? (Glass lets light straight through here: no caustics.)
+/// Returns whether anything but glass blocks the ray. (Light passes straight through glass here; there are no
+/// caustics.)
 fn shaded(scene: &Scene, at: V3, d: V3, limit: f32) -> bool {
     scene.bvh.blocked(at, d, limit, |t| scene.finish(t) != Finish::Glass)
 }
 
-/// How much of the light from direction `l` a matt point or thin sheet sends to the viewer's side, times pi over albedo.
+/// Returns the share of the light from direction `l` that a matt point or thin sheet sends to the side of the viewer,
+/// times pi / albedo.
 fn share(p: &Point, l: V3) -> f32 {
     let cos = p.normal.dot(l);
     match p.finish {
@@ -270,7 +277,8 @@ fn share(p: &Point, l: V3) -> f32 {
     }
 }
 
-/// Light straight from the sun, and from the sky through the portal, over the albedo.
+/// Returns the light that the point reflects directly from the sun, and from the sky through the portal, each divided
+/// by the albedo.
 fn lights(scene: &Scene, p: &Point, s: &mut Sampler) -> (V3, V3) {
     let pi = std::f32::consts::PI;
     let l = s.cone(outdoors::sun(), outdoors::SUN_SPREAD);
@@ -290,7 +298,8 @@ fn lights(scene: &Scene, p: &Point, s: &mut Sampler) -> (V3, V3) {
     (sun, sky)
 }
 
-/// All light that a matt point sends to the viewer, over its albedo: the sun's own, and the rest.
+/// Returns the light that a matt point sends to the viewer, divided by its albedo: the direct light of the sun, and all
+/// other light.
 fn gather(scene: &Scene, p: &Point, s: &mut Sampler) -> (V3, V3) {
     let (sun, mut rest) = lights(scene, p, s);
     let mut weight = V3::ONE;
@@ -317,6 +326,6 @@ fn gather(scene: &Scene, p: &Point, s: &mut Sampler) -> (V3, V3) {
         let (a, b) = lights(scene, &here, s);
         rest += weight * (a + b);
     }
-    // One sample may not outshine the whole sky: that would be a firefly.
+    // A sample is limited to about the radiance of the sky; a brighter one would be a firefly.
     (sun, rest.min(V3::ONE * 20_000.0))
 }

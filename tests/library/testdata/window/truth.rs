@@ -1,5 +1,5 @@
-//! What is known about the bracket, written down and read back: `truth.json`, and `truth.hdr`, the radiance of the
-//! reference frame at a quarter of its size as a Radiance picture.
+//! The truth about the bracket, written and read: `truth.json`, and `truth.hdr`, the radiance of the reference frame at
+//! a quarter of its size as a Radiance picture.
 
 use std::path::{Path, PathBuf};
 
@@ -10,15 +10,15 @@ use super::motion::{HANDS, Matrix, homography};
 use super::scene::{HEIGHT, WIDTH};
 use super::vec3::{V3, v3};
 
-/// Frame pixels for each pixel of `truth.hdr`, along each side.
+/// Number of frame pixels per pixel of `truth.hdr`, along each side.
 pub const QUARTER: usize = 4;
 
-/// Where the bracket lives.
+/// Returns the folder of the bracket.
 pub fn folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("testdata/window")
 }
 
-/// The whole of `truth.json`.
+/// Returns the content of `truth.json`.
 pub fn describe() -> Value {
     let inverse: Vec<f64> = (0..256).map(|v| camera::inverse_response(f64::from(v) / 255.0)).collect();
     let frames: Vec<Value> = (0..camera::TIMES.len())
@@ -55,12 +55,12 @@ pub fn describe() -> Value {
     })
 }
 
-/// A homography out of `truth.json`.
+/// Reads a homography from a value of `truth.json`.
 pub fn matrix(v: &Value) -> Matrix {
     std::array::from_fn(|i| std::array::from_fn(|j| v[i][j].as_f64().expect("a number in the homography")))
 }
 
-/// Means of squares of `side` x `side` pixels.
+/// Returns the means of blocks of `side` x `side` pixels.
 pub fn shrink(pixels: &[V3], width: usize, side: usize) -> Vec<V3> {
     let (w, h) = (width / side, pixels.len() / width / side);
     (0..w * h)
@@ -72,9 +72,10 @@ pub fn shrink(pixels: &[V3], width: usize, side: usize) -> Vec<V3> {
         .collect()
 }
 
-/// A Radiance picture (RGBE, run-length coded), with luminances in cd/m2 stated by its EXPOSURE.
+/// Returns a Radiance picture (RGBE, run-length coded), whose EXPOSURE declares that the values are in cd/m2.
 pub fn write_hdr(pixels: &[V3], width: usize) -> Vec<u8> {
-    // Radiance's own unit is W/(sr m2), of which one in each channel is 179 lm: EXPOSURE=179 says values are 179 times it.
+    // The unit of Radiance is W/(sr m2); 1 in each channel is 179 cd/m2. EXPOSURE=179 declares that the values are 179
+    // times those in W/(sr m2).
     let mut out = format!(
         "#?RADIANCE\nFORMAT=32-bit_rle_rgbe\nEXPOSURE=179\nSOFTWARE=hdralign tests/window\n\n-Y {} +X {width}\n",
         pixels.len() / width
@@ -110,7 +111,7 @@ fn rgbe(p: V3) -> [u8; 4] {
     if top < 1e-30 {
         return [0; 4];
     }
-    // Rounded half up; a mantissa that would round to 256 takes the next exponent.
+    // Mantissas are rounded half up; if the largest would round to 256, the exponent is one more.
     let mut e = top.log2().floor() as i32 + 1;
     if (top * 2f32.powi(8 - e) + 0.5) as i32 > 255 {
         e += 1;
@@ -120,7 +121,7 @@ fn rgbe(p: V3) -> [u8; 4] {
     [byte(p.x), byte(p.y), byte(p.z), (e + 128) as u8]
 }
 
-/// Reads what [`write_hdr`] writes: pixels and width.
+/// Reads the pixels and the width of a picture that [`write_hdr`] wrote.
 pub fn read_hdr(bytes: &[u8]) -> (Vec<V3>, usize) {
     let end = bytes.windows(2).position(|w| w == b"\n\n").expect("the end of the header") + 2;
     let line = end + bytes[end..].iter().position(|&b| b == b'\n').expect("a resolution line");

@@ -1,4 +1,4 @@
-//! Three floats: a point, a direction (metres; x right, y up, z into the picture) or linear RGB.
+//! Three floats: a point or direction (in metres; x to the right, y up, z into the picture) or linear RGB.
 
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
 
@@ -47,23 +47,23 @@ impl V3 {
         [self.x, self.y, self.z][i]
     }
 
-    /// From `self` at `t` = 0 to `o` at `t` = 1.
+    /// Interpolates from `self` at `t` = 0 to `o` at `t` = 1.
     pub fn mix(self, o: V3, t: f32) -> V3 {
         self * (1.0 - t) + o * t
     }
 
-    /// Rec. 709 luminance of a linear colour.
+    /// Returns the Rec. 709 luminance of a linear colour.
     pub fn luminance(self) -> f32 {
         0.2126 * self.x + 0.7152 * self.y + 0.0722 * self.z
     }
 
-    /// Turned about the y axis by `a` radians.
+    /// Returns the vector turned about the y axis by `a` radians.
     pub fn turned(self, a: f32) -> V3 {
         let (s, c) = a.sin_cos();
         v3(c * self.x + s * self.z, self.y, -s * self.x + c * self.z)
     }
 
-    /// Two directions that make an orthonormal frame with this unit vector.
+    /// Returns two directions that form an orthonormal frame with this unit vector.
     pub fn frame(self) -> (V3, V3) {
         let side = if self.x.abs() > 0.9 { v3(0.0, 1.0, 0.0) } else { v3(1.0, 0.0, 0.0) };
         let t = self.cross(side).unit();
@@ -119,7 +119,7 @@ impl Neg for V3 {
     }
 }
 
-/// 0 below `a`, 1 above `b`, smooth between.
+/// Returns 0 for `x` below `a`, 1 above `b`, and a smooth transition between them.
 pub fn smooth(a: f32, b: f32, x: f32) -> f32 {
     let t = ((x - a) / (b - a)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
