@@ -30,7 +30,7 @@ pub(super) fn texture(width: usize, height: usize, turn: f64, zoom: f64) -> Plan
     let list: Vec<(f64, f64, f64, f64)> = (0..220)
         .map(|_| {
             let (px, py) = ((random() - 0.5) * 1.3 * width as f64, (random() - 0.5) * 1.3 * height as f64);
-            let (s, c) = turn.sin_cos();
+            let (s, c) = (libm::sin(turn), libm::cos(turn));
             let sigma = (2.0 + 5.0 * random() * random()) * zoom;
             (cx + zoom * (c * px - s * py), cy + zoom * (s * px + c * py), sigma, 120.0 * (random() - 0.5))
         })
@@ -54,9 +54,9 @@ pub(super) fn check_repeatability(detect: impl Fn(&Plane<u8>) -> Features, (leas
             .filter(|m| {
                 let (a, b) = (&plain.keypoints[m.reference], &found.keypoints[m.frame]);
                 let (px, py) = (f64::from(a.x) - cx, f64::from(a.y) - cy);
-                let (s, c) = turn.sin_cos();
+                let (s, c) = (libm::sin(turn), libm::cos(turn));
                 let (u, v) = (cx + zoom * (c * px - s * py), cy + zoom * (s * px + c * py));
-                (f64::from(b.x) - u).hypot(f64::from(b.y) - v) < 1.5
+                libm::hypot(f64::from(b.x) - u, f64::from(b.y) - v) < 1.5
             })
             .count();
         assert!(

@@ -10,7 +10,7 @@
 //! result is a compromise that fits none of them, and it fits the part with the strongest contrast best. Here every cell
 //! has the same weight, whatever its contrast, and a cell that moves differently has none.
 
-use crate::align::local::field::Cell;
+use crate::align::local::cell::Cell;
 use crate::align::transform::{Increment, Model};
 use crate::statistics::{biweight, random};
 use nalgebra::{DMatrix, DVector, Matrix3};

@@ -9,6 +9,7 @@
 
 use crate::align::agreement::TileDisplacement;
 use crate::align::grey::measured_level;
+use crate::align::local::cell::{Cell, precision};
 use crate::align::local::matching::Matches;
 use crate::align::local::{dominant, matching};
 use crate::align::refinement::FramePair;
@@ -23,14 +24,9 @@ const ROUNDS: usize = 3;
 const TUKEY: f64 = 4.685;
 /// The median of the squared length of a normal vector in the plane, in units of its variance along an axis.
 const MEDIAN_SQUARE: f64 = 1.386;
-/// Squared displacement in units of its variance from which it is significant. Of independent normal vectors none would
-/// exceed it; matches of a noisy frame are maxima among many, and the errors of neighbours are correlated. Measured on
-/// rendered brackets.
-const SIGNIFICANT: f64 = 40.0;
-/// Least sharpness of a significant displacement in its direction, per pixel^2 of the level: the correlation of a softer
-/// patch falls by less than a hundredth within a pixel, which differences of the tones exceed. Measured on rendered brackets
-/// that are out of focus; half of it gives the same result.
-const LEAST_SHARPNESS: f64 = 0.02;
+/// Root mean square displacement that interpolation and the parabola cause where nothing is displaced, in pixels of the
+/// level. Measured on rendered brackets of planar scenes.
+const PEAK_BIAS: f64 = 0.03;
 /// Least share of the patches around a cell that must have a match.
 const LEAST_KNOWN: f64 = 0.25;
 /// Least share of the matches around a cell that agree with each other.
@@ -67,31 +63,6 @@ struct Neighbourhood {
 /// The neighbourhoods of [`matching::near`] and [`matching::far`]: 48 pixels wide, as narrow as twigs and railings allow.
 const NEAR: Neighbourhood = Neighbourhood { radius: 1, overlap: 1.0 };
 const FAR: Neighbourhood = Neighbourhood { radius: 2, overlap: 4.0 };
-
-/// A cell of the field. All lengths are in pixels of the level.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Cell {
-    /// Its centre in the reference.
-    pub(super) centre: [f64; 2],
-    /// Its displacement: a detail at x in the reference is where the transform maps x + d.
-    pub(super) displacement: [f64; 2],
-    /// Inverse covariance of the displacement, [xx, xy, yy].
-    pub(super) precision: [f64; 3],
-    /// Negative second derivatives of the mean correlation of the matches around it, [xx, xy, yy].
-    sharpness: [f64; 3],
-    /// Whether most of the matches around it agree with each other.
-    agrees: bool,
-}
-
-impl Cell {
-    /// Whether the displacement is greater than its error, and not that of an edge so soft that a difference of the tones
-    /// displaces it.
-    fn is_significant(&self) -> bool {
-        self.agrees
-            && square(self.precision, self.displacement) > SIGNIFICANT
-            && square(self.sharpness, self.displacement) > LEAST_SHARPNESS * square([1.0, 0.0, 1.0], self.displacement)
-    }
-}
 
 /// The displacements of the cells of a picture from a transform.
 #[derive(Debug, Clone)]
@@ -187,8 +158,9 @@ impl LocalField {
         let independent = (all / self.overlap).max(1.0);
         let most_px = if fraction < LEAST_DISPLACED { DISPLACED_PX } else { f64::INFINITY };
         let squares = lengths.iter().filter(|&&px| px < most_px).map(|px| px * px).sum::<f64>();
+        let bias_px = self.scale() * PEAK_BIAS;
         Misfit {
-            rms_px: (squares / all).sqrt(),
+            rms_px: (squares / all - bias_px * bias_px).max(0.0).sqrt(),
             displaced_surely: (fraction - (fraction * (1.0 - fraction) / independent).sqrt()).max(0.0),
             displaced: Displaced { fraction, px: median(displaced).unwrap_or(0.0) },
         }
@@ -217,11 +189,6 @@ impl Sum {
         let [px, py] = self.pull;
         [(yy * px - xy * py) / determinant, (xx * py - xy * px) / determinant]
     }
-}
-
-/// d^T S d.
-fn square(sharpness: [f64; 3], d: [f64; 2]) -> f64 {
-    sharpness[0] * d[0] * d[0] + 2.0 * sharpness[1] * d[0] * d[1] + sharpness[2] * d[1] * d[1]
 }
 
 /// The cells: the weighted sums of the matches around each, reweighted by their distance from it.
@@ -262,8 +229,7 @@ fn smoothed(matches: &Matches, neighbourhood: Neighbourhood) -> Vec<Cell> {
         Some(Cell {
             centre: matches.centre(i),
             displacement: sums[i].peak(),
-            precision: sums[i].sharpness.map(|s| s / (overlap * variance)),
-            sharpness: sums[i].sharpness.map(|s| s / agreeing.max(1) as f64),
+            precision: precision(sums[i].sharpness, agreeing.max(1) as f64, overlap * variance),
             agrees: agreeing as f64 >= LEAST_AGREEING * all as f64,
         })
     };

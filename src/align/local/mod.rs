@@ -7,6 +7,7 @@
 //! The tiles of [`agreement`](crate::align::agreement) are large and search few pixels, to find out whether a transform
 //! is right at all. Near objects, rolling shutter and moving things displace parts of the picture, by more.
 
+mod cell;
 mod dominant;
 mod field;
 mod matching;

@@ -5,8 +5,9 @@ use crate::align::agreement::pattern::{Pattern, Warped};
 use crate::align::grey::GreyPyramid;
 use crate::align::local::matching;
 use crate::align::refinement::FramePair;
-use crate::align::scene::{Scene, Shot, photograph, rigid};
-use crate::align::transform::{Transform, on_level};
+use crate::align::scene::{Scene, Shot, photograph, rigid, uniform};
+use crate::align::transform::{Transform, distance, on_level};
+use crate::plane::Plane;
 
 const SIZE: (usize, usize) = (640, 448);
 
@@ -44,6 +45,45 @@ fn frame_that_its_transform_fits_has_no_misfit_whatever_its_noise() {
         let found = misfit(1e9, 0.0, noise, &truth);
         assert!(found.displaced.fraction < 0.005 && found.rms_px < 0.15, "{noise}: {found:?}");
     }
+}
+
+#[test]
+fn compromise_between_two_motions_is_replaced_by_the_motion_of_the_larger_part() {
+    // Three fifths of the picture have the motion `truth`, the rest moves by 6 pixels more.
+    let truth = rigid(3.0, -2.0, 0.4);
+    let (reference, frame) = pair_with_depth(384.0, 6.0, 1.5, &truth);
+    let compromise = rigid(5.4, -2.0, 0.4);
+    let field = LocalField::new(&FramePair::new(&reference, &frame, &compromise), &compromise);
+    let (dominant, error_px) = field.dominant().unwrap();
+    // The patches at the edge between the parts are within the tolerance of neither.
+    let off = distance(&dominant.transform(), &truth, SIZE.0, SIZE.1);
+    assert!(off < 0.3 && error_px < 1.0, "{off} {error_px}");
+    let (before, after) = (field.misfit().displaced.fraction, dominant.misfit().displaced.fraction);
+    assert!(before > 0.9 && (after - 0.4).abs() < 0.06, "{before} {after}");
+    // There is nothing better then.
+    assert!(dominant.dominant().is_none());
+}
+
+#[test]
+fn caption_that_does_not_move_with_the_scene_is_not_displaced() {
+    let truth = rigid(14.0, -9.0, 0.3);
+    let (reference, frame) = pair_with_depth(1e9, 0.0, 1.5, &truth);
+    // The lower sixth of both photographs has the same grey values, whatever the exposure.
+    let caption = |x: usize, y: usize| if uniform(5, (x / 7) as i64, (y / 9) as i64) < 0.4 { 205 } else { 60 };
+    let labelled = |grey: &Plane<u8>| {
+        GreyPyramid::new(Plane::from_rows(SIZE.0, SIZE.1, |y, row| {
+            row.copy_from_slice(grey.row(y));
+            if y >= 5 * SIZE.1 / 6 {
+                row.iter_mut().enumerate().for_each(|(x, v)| *v = caption(x, y));
+            }
+        }))
+    };
+    let (reference, frame) = (labelled(reference.level(0)), labelled(frame.level(0)));
+    let found = LocalField::new(&FramePair::new(&reference, &frame, &truth), &truth).misfit();
+    assert!(found.displaced.fraction < 0.03 && found.rms_px < 0.5, "{found:?}");
+    // The transform of the caption displaces the scene.
+    let unmoved = LocalField::new(&FramePair::new(&reference, &frame, &Transform::Identity), &Transform::Identity);
+    assert!(unmoved.misfit().displaced.fraction > 0.7, "{:?}", unmoved.misfit());
 }
 
 #[test]
