@@ -201,7 +201,7 @@ fn found(frame: FrameDocument, size: (usize, usize)) -> std::result::Result<Foun
         let by_default = if by == RejectedBy::Alignment { 0.0 } else { 1.0 };
         Placement::Rejected { by, confidence: frame.confidence.unwrap_or(by_default), reason: frame.reason }
     } else {
-        let homography = frame.homography.ok_or("it is merged according to its status, but has no homography; add nine numbers, or set the status to excluded")?;
+        let homography = frame.homography.ok_or("it is merged according to its status, but has no homography; add nine numbers, or set the status to rejected")?;
         let h = Matrix3::from_row_slice(&homography);
         let transform = match frame.status {
             Status::Unmoved | Status::Assumed if h == Matrix3::identity() => Transform::Identity,

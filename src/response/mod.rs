@@ -198,7 +198,7 @@ pub struct ResponseReport {
     pub fallback: Option<String>,
 }
 
-/// The ratio of two consecutive exposures.
+/// The ratio of two exposures that are consecutive, without those that are clipped, at some place of the scene.
 #[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct RatioReport {

@@ -14,8 +14,8 @@ pub struct Tone {
     #[arg(long, value_parser = renderings(), default_value = Rendering::default().name(), value_name = "NAME")]
     tmo: Rendering,
 
-    /// Set a parameter of the operator, as in `--tmo durand --tmo-set base=3`; may be repeated. `--tmo-set help` lists
-    /// all parameters
+    /// Set a parameter of the operator, as in `--tmo durand --tmo-set base=3`; may be repeated. `--tmo NAME --tmo-set
+    /// help` lists the parameters of NAME
     #[arg(long, hide_short_help = true, value_name = "KEY=VALUE", value_delimiter = ',')]
     tmo_set: Vec<String>,
 }

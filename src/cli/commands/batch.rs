@@ -38,11 +38,12 @@ is run by --run PLAN --id ID, on any machine; --summarize PLAN combines the resu
 
 Exit codes:
   0  all brackets done
-  1  no bracket done, or none found
+  1  nothing done, or no bracket found
   2  wrong usage
   3  some done, or a photograph, a folder or the summary could not be read or written;
      with --strict also if a result is degraded
-Results of earlier runs count like those of this run.
+Results of earlier runs count like those of this run. With --shared-response, responses count
+like brackets.
 ";
 
 /// Returns a shared argument with its help for this command.
@@ -117,11 +118,11 @@ pub struct Args {
 
     /// Print the summary as JSON to stdout, not the names of the files
     ///
-    /// With --dry-run, print the brackets that were found
+    /// With --dry-run, print the brackets that were found. No effect with --plan and --run
     #[arg(long, help_heading = OUTPUT)]
     json: bool,
 
-    /// Also print all warnings, and the brackets already done
+    /// Also print the warnings of the brackets merged in this run, and the brackets already done
     #[arg(short, long, help_heading = OUTPUT, conflicts_with = "quiet")]
     verbose: bool,
 
@@ -171,7 +172,7 @@ struct Places {
 struct Finding {
     /// Expect exactly N photographs in each bracket
     ///
-    /// Photographs without an exposure or a time in EXIF are then used too; those without a time in the order of their
+    /// Photographs without an exposure in EXIF are then used too. Photographs without a time are in the order of their
     /// names. Photographs that are left over are in no bracket
     #[arg(long, value_name = "N")]
     bracket: Option<usize>,
