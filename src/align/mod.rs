@@ -64,7 +64,8 @@ pub use transform::{Model, Transform};
 #[serde(rename_all = "kebab-case")]
 #[strum(serialize_all = "kebab-case")]
 pub enum AlignMode {
-    /// Median threshold bitmaps, then refinement on the pixels; features if necessary. Every result is checked.
+    /// First median threshold bitmaps, which are fast, and refinement on the pixels; features only if necessary. Every
+    /// result is checked.
     #[default]
     Auto,
     /// Median threshold bitmaps only: shift and rotation.

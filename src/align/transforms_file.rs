@@ -130,7 +130,7 @@ impl SavedAlignment {
         let header: Header =
             serde_json::from_str(text).map_err(|e| wrong(format!("it is not JSON with a \"schema\" ({e})")))?;
         if header.schema != SCHEMA {
-            return Err(wrong(format!("its schema is {:?}, and {SCHEMA:?} is supported", header.schema)));
+            return Err(wrong(format!("its schema is {:?}, but only {SCHEMA:?} is supported", header.schema)));
         }
         let document: Document = serde_json::from_str(text).map_err(|e| wrong(e.to_string()))?;
         let size = (document.width_px, document.height_px);
@@ -182,7 +182,8 @@ impl SavedAlignment {
         }
         if !self.frames.iter().any(|given| bracket.named(&given.path).is_some()) {
             return wrong(
-                "it contains none of these photographs; give the name of a new file to create one for these".into(),
+                "it contains none of these photographs; to write the transforms of these, give the name of a new file"
+                    .into(),
             );
         }
         Ok(())

@@ -11,6 +11,8 @@ use hdralign::tonemap::{Operator, Rendering};
 #[command(next_help_heading = PICTURE)]
 pub struct Tone {
     /// Set the tone mapping operator: the method that makes the picture
+    ///
+    /// Global operators use one curve for the whole picture, local ones adapt to each area
     #[arg(long, value_parser = renderings(), default_value = Rendering::default().name(), value_name = "NAME")]
     tmo: Rendering,
 
