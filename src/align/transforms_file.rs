@@ -152,7 +152,7 @@ impl SavedAlignment {
             return Ok(());
         }
         let reason = format!(
-            "it is for other photographs, because its reference {} is not among these; give the name of a new file to create one for these",
+            "it is for other photographs, because its reference {} is not among these; to write the transforms of these, give the name of a new file",
             self.reference.display()
         );
         Err(Error::TransformsFile { path: path.to_owned(), reason })
@@ -169,7 +169,7 @@ impl SavedAlignment {
         if self.size != (width, height) {
             let (w, h) = self.size;
             return wrong(format!(
-                "it is for photographs of {w}x{h} pixels, but these have {width}x{height}; give the name of a new file to create one for these"
+                "it is for photographs of {w}x{h} pixels, but these have {width}x{height}; to write the transforms of these, give the name of a new file"
             ));
         }
         if bracket.named(&self.reference) != Some(bracket.reference_index()) {
