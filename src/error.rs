@@ -166,7 +166,7 @@ pub enum Error {
     },
     /// A photograph of an earlier result exists but is no longer detected as part of the bracket.
     #[error(
-        "{}: was made with {photograph}, which exists but is no longer detected as part of the bracket; copy the photograph again if it is damaged, or replace the result with --force",
+        "{}: was made with {photograph}, which exists but is no longer detected as part of the bracket; copy the photograph again if it is damaged, or give --force to merge without it",
         path.display()
     )]
     FrameLost {

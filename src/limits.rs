@@ -136,7 +136,7 @@ pub(crate) fn tiff_packing(compression: u32) -> u64 {
 /// The reason and what to do, if the file is too short.
 pub(crate) fn check_length(length: usize, bytes: u64, most: u64) -> Result<(), String> {
     if bytes / most > length as u64 {
-        return Err("it is too short for its size (truncated); copy the file again".into());
+        return Err("the file is too short for the width and height of its picture (truncated); copy it again".into());
     }
     Ok(())
 }

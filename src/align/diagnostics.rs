@@ -102,7 +102,7 @@ pub struct XorCurves {
 const ANGLE_STEP: f64 = 0.1;
 const FINE_ANGLE_STEP: f64 = 0.02;
 const FINE_REACH: f64 = 0.4;
-/// Largest shift in either direction from the estimated motion, in pixels of the level.
+/// Largest shift from the estimated motion, left, right, up and down, in pixels of the pyramid level.
 const SHIFT_REACH: i64 = 40;
 
 /// Computes the share of pixels that differ when `frame` is rotated and shifted around the motion of `transform`;

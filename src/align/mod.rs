@@ -64,14 +64,15 @@ pub use transform::{Model, Transform};
 #[serde(rename_all = "kebab-case")]
 #[strum(serialize_all = "kebab-case")]
 pub enum AlignMode {
-    /// Median threshold bitmaps, then refinement on the pixels; features if necessary. Every result is checked.
+    /// First median threshold bitmaps, which are fast, and refinement on the pixels; features only if necessary. Every
+    /// result is checked.
     #[default]
     Auto,
     /// Median threshold bitmaps only: shift and rotation.
     Mtb,
     /// SIFT features only: a homography, which also corrects tilt.
     Sift,
-    /// SURF features only: a homography. Faster than SIFT, but less precise.
+    /// SURF features only, for a homography. About twice as many keypoints as SIFT.
     Surf,
     /// No alignment.
     None,

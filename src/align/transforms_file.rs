@@ -130,7 +130,7 @@ impl SavedAlignment {
         let header: Header =
             serde_json::from_str(text).map_err(|e| wrong(format!("it is not JSON with a \"schema\" ({e})")))?;
         if header.schema != SCHEMA {
-            return Err(wrong(format!("its schema is {:?}, and {SCHEMA:?} is supported", header.schema)));
+            return Err(wrong(format!("its schema is {:?}, but only {SCHEMA:?} is supported", header.schema)));
         }
         let document: Document = serde_json::from_str(text).map_err(|e| wrong(e.to_string()))?;
         let size = (document.width_px, document.height_px);
@@ -152,7 +152,7 @@ impl SavedAlignment {
             return Ok(());
         }
         let reason = format!(
-            "it is for other photographs, because its reference {} is not among these; give the name of a new file to create one for these",
+            "it is for other photographs, because its reference {} is not among these; to write the transforms of these, give the name of a new file",
             self.reference.display()
         );
         Err(Error::TransformsFile { path: path.to_owned(), reason })
@@ -169,7 +169,7 @@ impl SavedAlignment {
         if self.size != (width, height) {
             let (w, h) = self.size;
             return wrong(format!(
-                "it is for photographs of {w}x{h} pixels, but these have {width}x{height}; give the name of a new file to create one for these"
+                "it is for photographs of {w}x{h} pixels, but these have {width}x{height}; to write the transforms of these, give the name of a new file"
             ));
         }
         if bracket.named(&self.reference) != Some(bracket.reference_index()) {
@@ -182,7 +182,8 @@ impl SavedAlignment {
         }
         if !self.frames.iter().any(|given| bracket.named(&given.path).is_some()) {
             return wrong(
-                "it contains none of these photographs; give the name of a new file to create one for these".into(),
+                "it contains none of these photographs; to write the transforms of these, give the name of a new file"
+                    .into(),
             );
         }
         Ok(())
@@ -201,7 +202,7 @@ fn found(frame: FrameDocument, size: (usize, usize)) -> std::result::Result<Foun
         let by_default = if by == RejectedBy::Alignment { 0.0 } else { 1.0 };
         Placement::Rejected { by, confidence: frame.confidence.unwrap_or(by_default), reason: frame.reason }
     } else {
-        let homography = frame.homography.ok_or("it is merged according to its status, but has no homography; add nine numbers, or set the status to excluded")?;
+        let homography = frame.homography.ok_or("it is merged according to its status, but has no homography; add nine numbers, or set the status to rejected")?;
         let h = Matrix3::from_row_slice(&homography);
         let transform = match frame.status {
             Status::Unmoved | Status::Assumed if h == Matrix3::identity() => Transform::Identity,

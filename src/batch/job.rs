@@ -252,7 +252,8 @@ fn is_done_by_twin(job: &Job, own: &Record) -> bool {
     })
 }
 
-/// Longest time to wait for another process that names the same files, in tenths of a second.
+/// Number of checks, a tenth of a second apart, whether another process that runs the same job has renamed all its
+/// files.
 const TRIES: u32 = 50;
 
 /// Returns the [`Content`] of a complete temporary file under its final name.

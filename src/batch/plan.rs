@@ -397,7 +397,10 @@ impl Job {
         for (i, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
             let job: Job = serde_json::from_str(line).map_err(|e| refused(i + 1, e.to_string()))?;
             if job.schema != SCHEMA {
-                return Err(refused(i + 1, format!("its schema is {:?}, and {SCHEMA:?} is supported", job.schema)));
+                return Err(refused(
+                    i + 1,
+                    format!("its schema is {:?}, but only {SCHEMA:?} is supported", job.schema),
+                ));
             }
             if job.brackets.iter().try_fold(0_usize, |sum, n| sum.checked_add(*n)) != Some(job.inputs.len()) {
                 return Err(refused(i + 1, "the sizes of its brackets do not add up to the number of inputs".into()));

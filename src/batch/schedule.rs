@@ -312,7 +312,7 @@ impl<'a> Board<'a> {
         open_jobs.filter_map(failed).collect()
     }
 
-    /// Marks open jobs that write to the same disk as job `i` as not started, because that disk is full.
+    /// The disk of job `i` is full: ends the open jobs that write to this disk as [`Ending::NotStarted`].
     fn fill(&self, i: usize) {
         let full = disk(&self.jobs[i]);
         let mut left = 0;

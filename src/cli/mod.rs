@@ -43,9 +43,9 @@ pub struct Cli {
 enum Command {
     /// Align and merge a bracket; write an HDR file (radiance) and a picture
     Merge(Box<commands::merge::Args>),
-    /// Find the brackets in folders and merge them all
+    /// Find the brackets in folders and merge each of them
     Batch(Box<commands::batch::Args>),
-    /// Align a bracket: print the motion; write transforms and aligned frames on request
+    /// Align a bracket: show how each frame moved, optionally write the aligned frames
     Align(commands::align::Args),
     /// Recover the response of a camera (light to pixel values) from one or more brackets
     Response(commands::response::Args),
@@ -68,7 +68,7 @@ Exit codes:
   2  wrong usage
   3  with --strict: written, but degraded; `hdralign merge --help` lists the reasons at --strict
   compare: 0 same, 1 different, 2 error
-  batch: 0 all brackets done, 1 none done, 3 some done, or a file could not be read or written
+  batch: 0 all brackets done, 1 none done, 3 some failed, or a file could not be read or written
          (with --strict also: a result is degraded)
 
 Examples:
@@ -107,8 +107,8 @@ fn program() -> clap::Command {
         let help =
             clap::Arg::new("help").short('h').long("help").action(clap::ArgAction::Help).help_heading(None::<&str>);
         command.disable_help_flag(true).arg(
-            help.help("Print the most used options (all options: --help)")
-                .long_help("Print all options (the most used options: -h)"),
+            help.help("Print the most used options (--help prints all)")
+                .long_help("Print all options (-h prints the most used)"),
         )
     })
 }

@@ -96,7 +96,7 @@ fn movement(report: &Report, room: usize) -> Option<String> {
     };
     let reference = report.frames.iter().find(|frame| frame.alignment.status == Status::Reference);
     let shown = reference.map_or_else(String::new, |frame| format!("; shown as in {}", name(&frame.path)));
-    let words = format!("in {percent} % of the picture, most of it {place}{shown}");
+    let words = format!("in {percent} % of the picture, mostly {place}{shown}");
     // Where the reference frame is clipped, its surroundings are continued.
     let filled = if ghosts.continued_fraction > 0.0 { ", partly filled in" } else { "" };
     Some(if words.chars().count() + filled.len() <= room { words + filled } else { words })

@@ -22,7 +22,7 @@ pub(super) fn validate(criterion: &Criterion) -> Result<()> {
     };
     match *criterion {
         Criterion::Psnr { least_db } => {
-            check("--min-psnr", least_db, f64::MAX, "a PSNR; give dB from 0 up, for example 40")
+            check("--min-psnr", least_db, f64::MAX, "a PSNR; give a number of dB, 0 or more, for example 40")
         }
         Criterion::Pixels { tolerance, most_differing_percent } => {
             match tolerance {

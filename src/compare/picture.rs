@@ -240,7 +240,7 @@ impl Scale {
     }
 
     fn at(&self, place: f64) -> Colour {
-        // Without a tolerance, all differences have the colours beyond the tolerance.
+        // If the tolerance is 0, every difference exceeds it and has a colour of `BEYOND`.
         let border = if self.tolerance > 0.0 { self.place(self.tolerance).clamp(0.0, 1.0) } else { 0.0 };
         if place < border {
             Colour::between(&WITHIN, place / border)

@@ -125,7 +125,7 @@ pub enum Warning {
     },
     /// The exposure of a frame differs from the pixels by more than the largest correction.
     #[error(
-        "{}: by the pixels, the exposure is wrong by {wanted_stops:+.2} stops, but it was corrected by only {used_stops:+.2}; give -e to set it",
+        "{}: according to the pixels, the exposure should be corrected by {wanted_stops:+.2} stops, but the largest correction, {used_stops:+.2}, was used; give -e to set it",
         path.display()
     )]
     ExposureBounded {
@@ -264,7 +264,10 @@ fn displaced_words(fraction: f64, px: f64) -> String {
     if fraction < MENTIONED_FRACTION {
         return String::new();
     }
-    format!(": {:.0} % of the picture is displaced by about {px:.0} px, by depth or movement", 100.0 * fraction)
+    format!(
+        ": {:.0} % of the picture is about {px:.0} px out of place, because of parallax or movement",
+        100.0 * fraction
+    )
 }
 
 impl Warning {

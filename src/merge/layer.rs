@@ -204,7 +204,7 @@ impl Loops for Beside<'_> {
     }
 }
 
-/// What a frame with an [assumed](Placement::Assumed) transform fills.
+/// Which pixels of the result a frame with an [assumed](Placement::Assumed) transform contributes to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Fill {
     /// Pixels that are clipped in the other frames.

@@ -140,8 +140,8 @@ fn block(at: impl Fn(usize, usize) -> f64) -> Option<(f64, f64)> {
     Some((sum / (BLOCK * BLOCK) as f64, squares / differences / 4.0))
 }
 
-/// Returns the lower quartile of each step, at least `least`; steps with too few blocks are interpolated between
-/// their neighbours.
+/// Returns the lower quartile of the variances of the blocks in each brightness step, at least `least`. Steps with too
+/// few blocks are interpolated between their neighbours.
 fn filled(seen: [Vec<f64>; STEPS], least: f64) -> [f64; STEPS] {
     let seen = seen.into_iter().enumerate().filter(|(_, values)| values.len() >= FEWEST);
     let quartile = |values: Vec<f64>| {

@@ -32,9 +32,9 @@ pub enum Weight {
     Plateau,
     /// All values count the same, clipped or not.
     Uniform,
-    /// By the slope of the response, in values per stop: certainty (Mann & Picard 1995).
+    /// Values where the response is steep, in values per stop, count most. Mann & Picard 1995.
     MannPicard,
-    /// Frames with less noise count more: inverse variance, from the measured noise and from rounding.
+    /// Frames with less noise count more: inverse variance of the measured noise and of rounding.
     Noise,
 }
 

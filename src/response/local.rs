@@ -115,8 +115,8 @@ struct Ratio {
     stops: f64,
 }
 
-/// Returns a lower bound of the standard deviation of the ratios over neighbourhoods of `side` pixels, in stops,
-/// after subtracting noise and the part that is a function of the code.
+/// Returns how much the ratio of the two frames of a pair varies between neighbourhoods of `side` pixels: a lower bound
+/// of the standard deviation, in stops. Noise, and variation that the code value explains, are subtracted.
 fn variation(ratios: &[Ratio], side: usize) -> Option<f64> {
     let mut residuals: Vec<((usize, usize), f64)> = Vec::new();
     for channel in 0..3 {

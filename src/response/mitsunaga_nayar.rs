@@ -211,7 +211,7 @@ impl Pairs {
         let power = if refined { both / given } else { 1.0 };
         if !POWER.contains(&power) {
             return Err(format!(
-                "the estimated exposures are the given ones to the power of {power:.2}, which is too far from 1"
+                "the estimated exposures are the given exposures raised to the power {power:.2}; this exponent is too far from 1"
             ));
         }
         let error = error / power;

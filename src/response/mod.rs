@@ -160,9 +160,9 @@ pub enum ResponseModel {
     Robertson(robertson::Options),
     /// Recovered from the bracket, as a polynomial: Mitsunaga & Nayar 1999.
     MitsunagaNayar(mitsunaga_nayar::Options),
-    /// Not recovered: pixel values proportional to the light, as in linear TIFFs.
+    /// No recovery: pixel values are proportional to the light, as in linear TIFFs.
     Linear,
-    /// Not recovered: the sRGB transfer function.
+    /// No recovery: the standard sRGB curve.
     Srgb,
 }
 
@@ -198,7 +198,7 @@ pub struct ResponseReport {
     pub fallback: Option<String>,
 }
 
-/// The ratio of two consecutive exposures.
+/// The ratio of two exposures that are consecutive, without those that are clipped, at some place of the scene.
 #[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct RatioReport {

@@ -33,11 +33,11 @@ use std::f64::consts::LN_2;
 #[serde(rename_all = "kebab-case")]
 #[strum(serialize_all = "kebab-case")]
 pub enum Exposures {
-    /// Correct exposures to match the pixels: by up to 1/6 stop if all are from EXIF, by up to 3/4 stop if all are
-    /// estimated. Exposures given by -e are not corrected.
+    /// Correct the values of the exposures to match the pixels: by up to 1/6 stop if all are from EXIF, by up to 3/4
+    /// stop if all are estimated. Others are not corrected.
     #[default]
     FineTuned,
-    /// Use the exposures as recorded, given or estimated.
+    /// Use the values from EXIF, from -e or from the estimate without correction.
     AsGiven,
 }
 

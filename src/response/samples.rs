@@ -64,7 +64,7 @@ struct Patch {
     seen: bool,
 }
 
-/// A place in all frames; `None` for a frame that does not cover it.
+/// A place of the scene, with its patches in every frame: `None` for a frame that does not cover the place.
 #[derive(Debug, Clone)]
 struct Candidate {
     /// Column and row of the patch's top-left pixel in the reference.

@@ -18,7 +18,8 @@ pub enum Format {
     Png,
     /// JPEG with a gain map, `.jpg` or `.jpeg`: the display picture, and the radiance for HDR displays.
     Jpeg,
-    /// TIFF with codes, `.tif` or `.tiff` if a picture is requested: the display picture.
+    /// TIFF with integer code values: the display picture. Chosen for `.tif` and `.tiff` if a picture, not radiance, is
+    /// requested.
     TiffPicture,
 }
 

@@ -102,7 +102,7 @@ impl RowWriter<[f32; 3]> for Writer {
 
     fn finish(self: Box<Self>) -> Result<Written> {
         self.bands.complete().map_err(|e| self.file.error(e))?;
-        let warnings = clamped(&self.file, self.over, "are above 1.7e38 and were limited to it");
+        let warnings = clamped(&self.file, self.over, "are above 1.7e38 and were set to 1.7e38");
         Written::ended(self.file, warnings)
     }
 }

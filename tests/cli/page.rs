@@ -198,7 +198,7 @@ fn movement_is_laid_over_the_picture() {
     folder.put("w4.jpg", &jpeg(&painted, Some(4)));
     let html = page(&folder, "merge w2.jpg w3.jpg w4.jpg --reference w3.jpg --crop none -o a.exr");
     assert_whole(&html);
-    assert!(html.contains("Something moved in") && html.contains("There the picture shows what <b>w3.jpg</b> shows"));
+    assert!(html.contains("Something moved in") && html.contains("the picture shows what <b>w3.jpg</b> shows"));
     assert!(html.contains("type=\"checkbox\" name=\"movement\"") && html.contains(">Go to: <button"));
     let from = html.split_once("class=\"over movement\"").expect("an overlay").1.split_once("base64,").expect("data").1;
     let bytes = STANDARD.decode(from.split('"').next().expect("an end")).expect("base64");

@@ -249,7 +249,7 @@ fn reported_loss_of_a_polynomial_is_the_error_of_the_radiance() {
         let luminance = |p: &[f32; 3]| f64::from(0.2126 * p[0] + 0.7152 * p[1] + 0.0722 * p[2]);
         // The reported loss is from 16384 pixels, of which a few per cent dominate the sum of squares: it is accurate
         // to some per cent, in addition to the rounding to two decimals.
-        for (after, is) in [("is off by ", off(&luminance)), ("blue ", off(&|p| f64::from(p[2])))] {
+        for (after, is) in [("is wrong by ", off(&luminance)), ("blue ", off(&|p| f64::from(p[2])))] {
             assert!(
                 (number(after) - is).abs() < 0.1 * is + 0.005,
                 "{frames}: {after}{} reported of {is}",

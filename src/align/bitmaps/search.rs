@@ -139,7 +139,7 @@ impl BitmapPair {
         (x, y)
     }
 
-    /// Returns the share of pixels that differ at every whole shift up to `reach`, with a rotation by `angle`.
+    /// Returns, for each whole-pixel shift up to `reach` after a rotation by `angle`, the share of pixels that differ.
     fn rate_shifts(&self, angle: f64, reach: (i64, i64)) -> Vec<(f64, Motion)> {
         let (width, height) = self.size();
         let mut turned = ThresholdBitmaps::blank(width, height);

@@ -77,7 +77,8 @@ impl Patch<FRAME_PATCH> {
 
 /// Patches of the frame, one for each point.
 ///
-/// A patch that an earlier refinement has read need not be read again. This saves time and does not change the result.
+/// They are kept between refinements, so that a patch at the same position is read only once. This saves time and does
+/// not change the result.
 #[derive(Debug)]
 pub(crate) struct Patches {
     pub(crate) origins: Vec<Origin>,

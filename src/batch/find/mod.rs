@@ -25,8 +25,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// Options of the search.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct FindOptions {
-    /// Number of photographs of every bracket. If it is given, photographs without exposure or time are also grouped;
-    /// those without time in order of name. Default: any number from 2 to 32.
+    /// Number of photographs of every bracket. If it is given, photographs without exposure are also grouped.
+    /// Default: any number from 2 to 32.
     pub frames: Option<usize>,
     /// Longest pause within a bracket, from the end of an exposure to the start of the next, in seconds. Default:
     /// 120.
@@ -151,7 +151,7 @@ impl fmt::Display for Reason {
             ),
             Reason::Burst(count) => write!(
                 f,
-                "one of {count} in a row with the same exposure; if their EXIF is wrong, give --bracket N (each N in a row are a bracket) or --by-folder"
+                "one of {count} in a row with the same exposure; if their EXIF is wrong, put each bracket in its own folder and give --by-folder"
             ),
             Reason::Remainder(frames) => {
                 write!(f, "too few photographs are left around it for a bracket of {frames}")

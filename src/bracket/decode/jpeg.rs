@@ -50,7 +50,7 @@ pub(super) fn decode(mut bytes: Vec<u8>, limits: &Limits) -> Result<Stored, Reas
     let scans = layout.scan_ends.len();
     if scans > MOST_SCANS {
         return Err(format!(
-            "it has {scans} scans, more than the {MOST_SCANS} that are supported; save it as plain JPEG"
+            "it has {scans} scans (passes over the picture), but at most {MOST_SCANS} are supported; save it as baseline JPEG"
         ));
     }
     let (width, height) = layout.size;
@@ -134,7 +134,7 @@ fn by_jpeg_decoder(bytes: &[u8], space: ColorSpace, plain_cmyk: bool) -> Result<
         format!(
             "{}; {}",
             one_line(&e.to_string()),
-            if is_kind { "save it as plain JPEG" } else { "copy the file again" }
+            if is_kind { "save it as baseline JPEG" } else { "copy the file again" }
         )
     };
     let pixels = decoder.decode().map_err(refused)?;

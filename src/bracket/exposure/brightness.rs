@@ -130,7 +130,7 @@ pub fn spread(evs: &[f64]) -> f64 {
     if evs.is_empty() { 0.0 } else { largest - least }
 }
 
-/// Whether all exposures are equal within the smallest step.
+/// Whether all exposures differ by less than `STEP`, the smallest exposure step.
 pub fn all_alike(evs: &[f64]) -> bool {
     spread(evs) < STEP
 }

@@ -10,15 +10,17 @@ use hdralign::tonemap::adjust::{Options, WhiteBalance};
 pub struct Adjust {
     /// Set the white balance: as-shot, auto, KELVIN[,TINT], or X,Y (a grey spot)
     ///
-    /// as-shot, the default, changes nothing. auto estimates the light. KELVIN[,TINT] is the light that becomes white: a temperature from 2000 to 25000 (below
-    /// 6504 the picture becomes cooler, above it warmer) and a tint from -150 to 150 (above 0 the picture becomes more magenta). X,Y is a grey
-    /// spot of the result, before --resize; write spot:2400,100 if the numbers could also be a temperature and a tint. Radiance is not changed
+    /// as-shot, the default, changes nothing. auto estimates the light. KELVIN[,TINT] is the colour of the light that
+    /// is to look white: a temperature from 2000 to 25000 (below 6504 the picture becomes cooler, above it warmer) and
+    /// a tint from -150 to 150 (above 0 the picture becomes more magenta). X,Y or spot:X,Y is a grey spot of the
+    /// result, before --resize; without spot:, numbers that can be a temperature and a tint are these. Radiance is not
+    /// changed
     #[arg(long, value_name = "WHITE", default_value_t, hide_default_value = true)]
     white_balance: WhiteBalance,
 
     /// Make the picture brighter or darker, -5 to 5 [default: 0]
     ///
-    /// 1 makes dark parts one stop brighter and bright parts less, so that nothing is clipped
+    /// 1 brightens dark parts by one stop, and bright parts by less than that, so that nothing is clipped
     #[arg(long, value_name = "EV", default_value_t, hide_default_value = true, allow_negative_numbers = true)]
     brightness: f64,
 

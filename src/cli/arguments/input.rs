@@ -18,10 +18,10 @@ use std::path::{Path, PathBuf};
 /// Exposures and method of alignment.
 #[derive(Debug, Args)]
 pub struct Method {
-    /// Set the exposures in EV, one for each photograph, in the order of the command
+    /// Set the exposures in EV, one for each photograph, in the order of the photographs in the command
     ///
-    /// With -e=-2,0,2 the first photograph is the darkest. *.jpg stands for the files in the order of their names. These
-    /// exposures replace those in EXIF, and are used even if they contradict the pixels
+    /// With -e=-2,0,2 the first photograph is the darkest. *.jpg stands for the files in the order of their names.
+    /// These exposures replace those in EXIF, and are used even if the brightness of the photographs contradicts them
     #[arg(short, long, help_heading = INPUT, value_name = "EV,...", value_delimiter = ',', allow_hyphen_values = true)]
     ev: Option<Vec<f64>>,
 
@@ -29,7 +29,7 @@ pub struct Method {
     #[arg(long, help_heading = ALIGNMENT, value_parser = choice::<AlignMode>(), default_value_t, value_name = "METHOD")]
     align: AlignMode,
 
-    /// Set the largest rotation that auto and mtb search with bitmaps, in degrees to either side
+    /// Set the largest rotation that auto and mtb try with bitmaps, in degrees, clockwise and counterclockwise
     #[arg(long, help_heading = ALIGNMENT, hide_short_help = true, value_name = "DEG", default_value_t = MtbOptions::default().max_rotation_deg, allow_negative_numbers = true)]
     max_rotation: f64,
 
@@ -72,9 +72,9 @@ pub struct Work {
     #[arg(short, long, help_heading = OUTPUT)]
     pub force: bool,
 
-    /// Print only errors and the names of the files written
+    /// Print only errors, and to stdout the names of the files written
     ///
-    /// The names go to stdout. Progress is shown on a terminal only, also without this option
+    /// Progress is shown only without this option, and only on a terminal
     #[arg(short, long, help_heading = OUTPUT)]
     pub quiet: bool,
 }
@@ -85,13 +85,13 @@ Exit with code 3 if the result is degraded (may be inaccurate)
 
 A result is degraded if
 - a frame could not be aligned, or only with a confidence below 0.5
-- the transform of a frame was assumed, unless all other frames are unmoved
+- the transform of a frame was estimated from the other frames, and one of these moved
 - the frames overlap by less than half, or two of them have the same pixels
 - the flash fired in some frames only, or the camera tone-mapped the frames locally
 - an exposure is missing, was estimated, or contradicts the pixels
 - the response could not be recovered, is of another camera, or contradicts the pixels
-- of several brackets for one response, one cannot be used or is of another camera
-All files are written. Frames excluded with --leave-out do not count";
+- one of several brackets for a response could not be used, or is of another camera
+All files are written. Frames that the user excluded do not count";
 
 /// Limit on the size of images.
 #[derive(Debug, Args)]
@@ -147,10 +147,10 @@ pub struct Aligned {
     #[arg(required = true, value_name = "IMAGES")]
     pub images: Vec<PathBuf>,
 
-    /// Set the reference frame: its number, from 1, or its file name
+    /// Set the reference frame: its file name, or its number (1 is the first)
     ///
-    /// The other frames are aligned to it, and the results show its view. The number is the position in the command. By
-    /// default it is the best exposed frame
+    /// The other frames are aligned to it, and the results show its view. The number is its position in the command. By
+    /// default, the reference is the best exposed frame
     #[arg(long, help_heading = INPUT, value_name = "FRAME")]
     reference: Option<String>,
 
@@ -172,7 +172,7 @@ pub struct Cut {
     /// Crop the results: common (the area that all frames cover), none, or X,Y,WIDTH,HEIGHT
     ///
     /// X,Y,WIDTH,HEIGHT is the part to keep, in pixels of the reference frame, counted from its top left corner. With
-    /// this or none, some pixels may be covered by fewer frames than others
+    /// `X,Y,WIDTH,HEIGHT` or `none`, some pixels may be covered by fewer frames than others
     #[arg(short = 'C', long, help_heading = OUTPUT, default_value_t, value_name = "AREA")]
     pub crop: Crop,
 }
@@ -183,7 +183,8 @@ pub struct Common {
     #[command(flatten)]
     pub aligned: Aligned,
 
-    /// Read the transforms from FILE (JSON) if it exists, otherwise write them to it. An existing file is never replaced
+    /// Read the transforms from FILE (JSON) if it exists, otherwise write them to it. An existing file is never
+    /// replaced, even with --force
     #[arg(long, help_heading = ALIGNMENT, hide_short_help = true, value_name = "FILE")]
     transforms: Option<PathBuf>,
 }
@@ -198,7 +199,7 @@ pub struct Results {
     #[arg(long, help_heading = OUTPUT, value_name = "FILE", value_parser = PathBufValueParser::new().try_map(report_file))]
     report: Option<PathBuf>,
 
-    /// Print the report as JSON to stdout, not the names of the files
+    /// Print the report as JSON to stdout instead of the file names
     #[arg(long, help_heading = OUTPUT)]
     pub json: bool,
 

@@ -22,14 +22,14 @@ pub struct Merging {
     #[command(flatten)]
     recovery: Recovery,
 
-    /// Set the weighting function: how much each pixel value counts in the merge
+    /// Set the weighting function: how much each pixel value counts in the merge; for experts
     #[arg(long, hide_short_help = true, value_parser = choice::<Weight>(), default_value_t, value_name = "NAME")]
     weight: Weight,
 
-    /// Remove ghosts: auto (default), off, or 0 to 1 as in --deghost=0.8
+    /// Remove ghosts: auto, off, or 0 to 1 (--deghost=0.8) [default: auto]
     ///
     /// Things that moved are shown as in the reference frame. Strength 0 removes only clear ghosts, 1 also faint ones;
-    /// auto is 0.5. off removes none: all frames are merged everywhere. The = is required
+    /// auto is 0.5. off removes none: things that moved may appear several times. The = before a value is required
     #[arg(
         long,
         value_name = "STRENGTH",
@@ -41,7 +41,7 @@ pub struct Merging {
     )]
     pub deghost: Deghost,
 
-    /// Subtract lens flare, if any is found: the haze that bright areas spread over the picture (veiling glare)
+    /// Subtract lens flare (veiling glare: the haze that bright areas spread over the picture), if any is found
     #[arg(long, hide_short_help = true)]
     flare: bool,
 

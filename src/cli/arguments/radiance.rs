@@ -52,7 +52,7 @@ struct Target(Option<Space>);
 const KEEP: &str = "keep";
 
 fn spaces() -> Choice<Target> {
-    let keep = (Target(None), KEEP, "No conversion: the space of the photographs, or of the radiance map");
+    let keep = (Target(None), KEEP, "No conversion: the colour space of the input");
     let spaces = Space::iter().map(named).map(|(space, name, about)| (Target(Some(space)), name, about));
     [keep].into_iter().chain(spaces).collect()
 }

@@ -11,11 +11,13 @@ use hdralign::tonemap::{Operator, Rendering};
 #[command(next_help_heading = PICTURE)]
 pub struct Tone {
     /// Set the tone mapping operator: the method that makes the picture
+    ///
+    /// Global operators use one curve for the whole picture, local ones adapt to each area
     #[arg(long, value_parser = renderings(), default_value = Rendering::default().name(), value_name = "NAME")]
     tmo: Rendering,
 
-    /// Set a parameter of the operator, as in `--tmo durand --tmo-set base=3`; may be repeated. `--tmo-set help` lists
-    /// all parameters
+    /// Set a parameter of the operator, as in `--tmo durand --tmo-set base=3`; may be repeated. `--tmo NAME --tmo-set
+    /// help` lists the parameters of NAME
     #[arg(long, hide_short_help = true, value_name = "KEY=VALUE", value_delimiter = ',')]
     tmo_set: Vec<String>,
 }

@@ -21,7 +21,8 @@ pub struct Args {
     #[command(flatten)]
     common: Common,
 
-    /// Write the aligned frames as TIFF with the bits of the photographs, named PREFIX and the name of the photograph
+    /// Write the aligned frames as TIFF with the bit depth of the photographs; the file names are PREFIX followed by
+    /// the name of the photograph
     #[arg(long, help_heading = OUTPUT, value_name = "PREFIX")]
     save_aligned: Option<PathBuf>,
 

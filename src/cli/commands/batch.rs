@@ -38,11 +38,12 @@ is run by --run PLAN --id ID, on any machine; --summarize PLAN combines the resu
 
 Exit codes:
   0  all brackets done
-  1  no bracket done, or none found
+  1  nothing done, or no bracket found
   2  wrong usage
-  3  some done, or a photograph, a folder or the summary could not be read or written;
-     with --strict also if a result is degraded
-Results of earlier runs count like those of this run.
+  3  some brackets done, others failed; or a photograph or folder could not be read, or the
+     summary could not be written; with --strict also if a result is degraded
+Results of earlier runs count like those of this run. With --shared-response, responses count
+like brackets.
 ";
 
 /// Returns a shared argument with its help for this command.
@@ -51,12 +52,12 @@ fn adapted(arg: clap::Arg) -> clap::Arg {
         "ev" => arg.help("Set the exposures in EV, in the order in which the frames were taken").long_help(
             "Set the exposures in EV, in the order in which the frames were taken\n\n\
                  With -e=-2,0,2 the first frame of each bracket is the darkest. Frames without a time are in \
-                 the order of their names. These exposures replace those in EXIF, and are used even if they contradict \
-                 the pixels",
+                 the order of their names. These exposures replace those in EXIF, and are used even if the brightness \
+                 of the photographs contradicts them",
         ),
-        "force" => arg.help("Merge all brackets again, and replace any existing files"),
-        "threads" => arg.help("Set the number of threads of all brackets [default: one for each core]").long_help(
-            "Set the number of threads of all brackets [default: one for each core]\n\n\
+        "force" => arg.help("Merge all brackets again; replace files that have the same names"),
+        "threads" => arg.help("Set the total number of threads [default: one for each core]").long_help(
+            "Set the total number of threads [default: one for each core]\n\n\
                  Results do not depend on it",
         ),
         _ => arg,
@@ -72,13 +73,13 @@ const RARE: [&str; 9] =
 #[command(after_help = AFTER_HELP, after_long_help = format!("{AFTER_LONG_HELP}\n{AFTER_HELP}"))]
 #[command(mut_args(adapted))]
 pub struct Args {
-    /// The folders to search, with their subfolders
+    /// The folders to search, with their subfolders; not with --run or --summarize
     #[arg(value_name = "FOLDER", required_unless_present_any = ["run", "summarize", "name"])]
     folders: Vec<PathBuf>,
 
     /// List the brackets, and the photographs without a bracket; merge nothing
     ///
-    /// At most 20 photographs are listed for each reason; --json lists all
+    /// Photographs without a bracket are listed with the reason, at most 20 for each reason; with --json, all
     #[arg(long, help_heading = MODE)]
     dry_run: bool,
 
@@ -86,11 +87,11 @@ pub struct Args {
     #[arg(long, help_heading = MODE, conflicts_with = "dry_run")]
     plan: bool,
 
-    /// Run the jobs of the file PLAN that --id selects
+    /// Run jobs of the plan in the file PLAN; select them with --id
     #[arg(long, help_heading = MODE, value_name = "PLAN", requires = "id", conflicts_with_all = ["folders", "plan", "dry_run", "summarize"])]
     run: Option<PathBuf>,
 
-    /// Select a job for --run, which needs at least one; may be repeated
+    /// Select a job of the plan; required with --run, may be repeated
     #[arg(long, help_heading = MODE, value_name = "ID", requires = "run")]
     id: Vec<String>,
 
@@ -115,13 +116,13 @@ pub struct Args {
     #[command(flatten)]
     places: Places,
 
-    /// Print the summary as JSON to stdout, not the names of the files
+    /// Print the summary as JSON to stdout instead of the file names
     ///
-    /// With --dry-run, print the brackets that were found
+    /// With --dry-run, print the brackets that were found. No effect with --plan and --run
     #[arg(long, help_heading = OUTPUT)]
     json: bool,
 
-    /// Also print all warnings, and the brackets already done
+    /// Also print the warnings of this run, and the brackets already done
     #[arg(short, long, help_heading = OUTPUT, conflicts_with = "quiet")]
     verbose: bool,
 
@@ -141,8 +142,8 @@ pub struct Args {
 struct Places {
     /// Set the folder for the results [default: beside the photographs]
     ///
-    /// With `batch night -d out`, results of night/x/IMG_1.jpg go to out/x (x is {folder} in --name); if several folders
-    /// are searched, to out/night/x. out itself is not searched
+    /// With `batch night -d out`, results of night/x/IMG_1.jpg go to out/x (x is {folder} in --name); if several of the
+    /// given folders contain brackets, to out/night/x. out itself is not searched
     #[arg(short = 'd', long = "output-folder", value_name = "FOLDER")]
     output: Option<PathBuf>,
 
@@ -152,11 +153,12 @@ struct Places {
 
     /// Set formats: exr, hdr, tif (radiance), png, jpg
     ///
-    /// exr, hdr and tif contain the radiance, png and jpg the picture. For a .tif with the picture give --pictures tif
+    /// They replace the default. exr, hdr and tif contain the radiance, png and jpg the picture. For a .tif with the
+    /// picture give --pictures tif
     #[arg(long, value_name = "FORMAT,...", value_delimiter = ',', default_value = "exr,png")]
     formats: Vec<String>,
 
-    /// Also write the picture in these formats: tif, png, jpg
+    /// In addition to --formats, write the picture as tif, png or jpg
     #[arg(long, value_name = "FORMAT,...", value_delimiter = ',')]
     pictures: Vec<String>,
 
@@ -171,7 +173,7 @@ struct Places {
 struct Finding {
     /// Expect exactly N photographs in each bracket
     ///
-    /// Photographs without an exposure or a time in EXIF are then used too; those without a time in the order of their
+    /// Photographs without an exposure in EXIF are then used too. Photographs without a time are in the order of their
     /// names. Photographs that are left over are in no bracket
     #[arg(long, value_name = "N")]
     bracket: Option<usize>,
@@ -193,18 +195,18 @@ struct Acting {
     #[command(flatten)]
     method: Method,
 
-    /// Set the reference frame of each bracket: its number, from 1
+    /// Set the reference frame of each bracket: its number (1 is the first)
     ///
-    /// Frames are numbered in the order in which they were taken. By default it is the best exposed frame
+    /// Frames are numbered in the order in which they were taken. By default, the reference is the best exposed frame
     #[arg(long, help_heading = INPUT, value_name = "N")]
     reference: Option<usize>,
 
     #[command(flatten)]
     merging: Merging,
 
-    /// Set which brackets have the same brightness scale, for stitching
+    /// Use one brightness scale for each bracket, each panorama (set) or all
     ///
-    /// The value 1.0 then stands for the same radiance in all their results
+    /// The value 1.0 stands for the same radiance in all results with the same scale. Panoramas can then be stitched
     #[arg(long, help_heading = MERGE, alias = "normalise", value_parser = choice::<Normalisation>(), default_value_t, value_name = "WHAT")]
     normalize: Normalisation,
 
@@ -320,7 +322,7 @@ impl Args {
         acting.write.check(&results.concat())?;
         let normalisation = self.acting.normalize;
         if normalisation != Normalisation::Bracket && acting.calibration.is_asked() {
-            let reason = "radiance in cd/m2 already has the same unit in all brackets; remove --normalize, or --absolute and --calibration-factor";
+            let reason = "radiance in cd/m2 already has the same unit in all brackets; remove --normalize, or remove both --absolute and --calibration-factor";
             return Err(Error::Option { option: "--normalize", reason: reason.into() });
         }
         Ok(Settings {
@@ -361,7 +363,8 @@ fn print_plan(jobs: &[Job], found: &find::Found, args: &Args) -> Result<ExitCode
 /// Runs `hdralign batch --run PLAN --id ID`.
 fn jobs(path: &Path, args: &Args, typed: &[String]) -> Result<ExitCode, Error> {
     if let Some(option) = typed.first() {
-        let reason = format!("{option} changes the results, so it must be given with --plan");
+        let reason =
+            format!("{option} changes the results; give it when the plan is made (--plan), not when its jobs are run");
         return Err(Error::Option { option: "--run", reason });
     }
     let jobs = Job::read(path, &args.id)?;

@@ -40,7 +40,8 @@ pub struct Args {
 
     /// Set the largest difference allowed in any pixel of a picture, in CIEDE2000 [default: 0]
     ///
-    /// A difference of about 1 is just visible side by side. In dark parts, a change of one pixel value can be more than 1
+    /// A difference of about 1 is just visible side by side. In dark parts, a step of 1 in the pixel values can be a
+    /// difference of more than 1
     #[arg(long, value_name = "DE", allow_negative_numbers = true)]
     tolerance_de: Option<f64>,
 
@@ -62,7 +63,7 @@ pub struct Args {
     #[arg(long, value_name = "PNG")]
     diff: Option<PathBuf>,
 
-    /// Accept the result: replace EXPECTED by ACTUAL, even without --force, and exit with 0
+    /// Accept the result: copy ACTUAL to EXPECTED, even without --force, and exit with 0
     #[arg(long)]
     bless: bool,
 
@@ -77,7 +78,7 @@ pub struct Args {
     #[arg(long)]
     json: bool,
 
-    /// Print only errors and the names of the files written
+    /// Print only errors, and to stdout the names of the files written
     #[arg(short, long)]
     quiet: bool,
 }
@@ -132,9 +133,9 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
         let (blessed, warnings) = compare::bless(&args.expected, &args.actual, &args.reading.limits())?;
         warnings.iter().for_each(|warning| say(&format!("warning: {warning}")));
         say(&match blessed {
-            Blessed::Created => format!("blessed: {expected} is new, a copy of {actual}"),
-            Blessed::Replaced => format!("blessed: {expected} is now a copy of {actual}"),
-            Blessed::Unchanged => format!("blessed: {expected} already has the same bytes as {actual}"),
+            Blessed::Created => format!("accepted: {expected} is new, a copy of {actual}"),
+            Blessed::Replaced => format!("accepted: {expected} is now a copy of {actual}"),
+            Blessed::Unchanged => format!("accepted, nothing to do: {expected} already has the same bytes as {actual}"),
         });
         if !args.json && blessed != Blessed::Unchanged {
             results += &format!("{expected}\n");
@@ -188,7 +189,7 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
         let (mean, rms) = (radiance.mean_stops, radiance.rms_stops);
         if mean.abs() > 0.002 && mean.abs() > 0.97 * rms {
             let word = if mean > 0.0 { "brighter" } else { "darker" };
-            row("gain", format!("actual is uniformly {word}, by {:.3} stops", mean.abs()));
+            row("gain", format!("ACTUAL is {word} everywhere by the same factor: {:.3} stops", mean.abs()));
         }
     }
     if let Some(display) = compared.display.as_ref().filter(|_| is_off) {

@@ -34,7 +34,7 @@ pub struct Args {
     #[arg(short = 'd', long, help_heading = OUTPUT, value_name = "FOLDER")]
     folder: Option<PathBuf>,
 
-    /// Print the tables as JSON to stdout, not the names of the files
+    /// Print the tables as JSON to stdout instead of the file names
     #[arg(long, help_heading = OUTPUT)]
     json: bool,
 

@@ -36,7 +36,8 @@ pub struct Args {
 
     /// Write a result: .exr .hdr .tif (radiance), .png .jpg (picture; .jpg with a gain map for HDR displays)
     ///
-    /// May be repeated. Without -o and --picture, FIRST-LAST.exr and FIRST-LAST.png are written beside the photographs
+    /// May be repeated. If neither -o nor --picture is given, FIRST-LAST.exr and FIRST-LAST.png are written beside the
+    /// photographs
     #[arg(short, long, help_heading = OUTPUT, value_name = "OUT")]
     output: Vec<PathBuf>,
 
@@ -56,7 +57,8 @@ pub struct Args {
     #[arg(long, help_heading = OUTPUT, hide_short_help = true, value_name = "FILE")]
     ghost_mask: Option<PathBuf>,
 
-    /// Write the aligned frames as TIFF with the bits of the photographs, named PREFIX and the name of the photograph
+    /// Write the aligned frames as TIFF with the bit depth of the photographs; the file names are PREFIX followed by
+    /// the name of the photograph
     #[arg(long, help_heading = OUTPUT, hide_short_help = true, value_name = "PREFIX")]
     save_aligned: Option<PathBuf>,
 }

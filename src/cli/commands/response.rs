@@ -21,7 +21,7 @@ The response is better with several brackets, with a wide range of exposures, an
 Examples:
   hdralign response *.jpg                             write Canon_EOS_5D.json beside the photographs
   hdralign response night/ church/ -o 5d.json --plot 5d.svg
-  hdralign response *.jpg -o 5d.rsp                   write it for hdrgen -r 5d.rsp
+  hdralign response *.jpg -o 5d.rsp                   write a file for `hdrgen -r`
   hdralign merge --response 5d.json *.jpg             use it";
 
 /// Returns a shared argument with its help for this command.
@@ -29,18 +29,18 @@ fn adapted(arg: clap::Arg) -> clap::Arg {
     match arg.get_id().as_str() {
         "images" => arg.help("Photographs (JPEG, PNG or TIFF) of one or several brackets, or folders of photographs"),
         "reference" => arg
-            .help("Set the reference frame of each bracket: its number, from 1; for one bracket also its file name")
+            .help("Set the reference frame of each bracket: its number (1 is the first); its file name only if there is one bracket")
             .long_help(
-                "Set the reference frame of each bracket: its number, from 1; for one bracket also its file name\n\n\
-                 The other frames are aligned to it. The number is the position in the command; in a folder, the position \
-                 by name. By default it is the best exposed frame",
+                "Set the reference frame of each bracket: its number (1 is the first); its file name only if there is one bracket\n\n\
+                 The other frames are aligned to it. The number is its position in the command; in a folder, the position \
+                 by name. By default, the reference is the best exposed frame",
             ),
         "ev" => arg
-            .help("Set the exposures in EV, one for each photograph, in the order of the command; for one bracket only")
+            .help("Set the exposures in EV, one for each photograph, in the order of the photographs in the command; only if there is one bracket")
             .long_help(
-                "Set the exposures in EV, one for each photograph, in the order of the command; for one bracket only\n\n\
+                "Set the exposures in EV, one for each photograph, in the order of the photographs in the command; only if there is one bracket\n\n\
                  With -e=-2,0,2 the first photograph is the darkest. *.jpg or a folder stands for the files in the order of their names. \
-                 These exposures replace those in EXIF, and are used even if they contradict the pixels",
+                 These exposures replace those in EXIF, and are used even if the brightness of the photographs contradicts them",
             ),
         _ => arg,
     }
@@ -63,7 +63,7 @@ pub struct Args {
     #[arg(long, help_heading = OUTPUT, value_name = "FILE")]
     plot: Vec<PathBuf>,
 
-    /// Print a report as JSON to stdout, not the names of the files
+    /// Print a report as JSON to stdout instead of the file names
     #[arg(long, help_heading = OUTPUT)]
     json: bool,
 

@@ -16,13 +16,13 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 const AFTER_HELP: &str = "\
-The input may come from any program: .exr, .hdr, and .tif with floats or LogLuv. Invalid values
-are replaced, with a warning: NaN by black, infinity by the largest finite value, and colours with
-negative components by less saturated ones.
+The input may come from any program: .exr, .hdr, and .tif with floating-point (as from Photoshop)
+or LogLuv pixels. Invalid pixels are replaced, with a warning: NaN by black, infinity by the largest
+finite value, and colours with negative components by less saturated ones.
 
 Examples:
   hdralign tonemap room.exr                           write room.png beside it
-  hdralign tonemap room.hdr -o bright.png
+  hdralign tonemap room.hdr --brightness 1 -o bright.png
   hdralign tonemap room.hdr -o room.exr               convert the radiance to another format";
 
 #[derive(Debug, clap::Args)]
@@ -52,13 +52,13 @@ pub struct Args {
     #[arg(short, long, help_heading = OUTPUT)]
     force: bool,
 
-    /// Print a report as JSON to stdout, not the names of the files
+    /// Print a report as JSON to stdout instead of the file names
     #[arg(long, help_heading = OUTPUT)]
     json: bool,
 
-    /// Print only errors and the names of the files written
+    /// Print only errors, and to stdout the names of the files written
     ///
-    /// The names go to stdout. Progress is shown on a terminal only, also without this option
+    /// Progress is shown only without this option, and only on a terminal
     #[arg(short, long, help_heading = OUTPUT)]
     quiet: bool,
 

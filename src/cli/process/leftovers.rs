@@ -1,6 +1,7 @@
 //! Leftovers: temporary files of killed runs in the folders of the results, removed at the start.
 //!
-//! Jobs of a plan (`batch --run`) do not remove them, because jobs run on many machines and locks do not reach other machines on every file system.
+//! Jobs of a plan (`batch --run`) do not remove them: jobs may run on several machines, and on some file systems a lock
+//! held by one machine is not seen by the others.
 
 use hdralign::write;
 use std::collections::BTreeSet;

@@ -32,16 +32,16 @@ pub struct Ghosts {
 pub struct GhostReport {
     /// The strength used.
     pub strength: f64,
-    /// Share of the result, by cells, where some frame was removed by more than half.
+    /// Share of the cells of the result in which deghosting reduced the weight of any frame by more than half.
     pub ghost_fraction: f64,
-    /// Share of the result, by cells, where the reference frame is clipped and the shorter frames are removed, so that
-    /// radiance is continued from the surroundings.
+    /// Share of the cells of the result in which the reference frame is clipped and the shorter frames are removed, so
+    /// that radiance is continued from the surroundings.
     pub continued_fraction: f64,
     /// The frames that were compared, by rising exposure: all but the reference frame and those with assumed
     /// transforms.
     pub frames: Vec<GhostFrame>,
-    /// The largest connected regions where some frame was removed by more than half, the largest first: at most
-    /// [`MOST_REGIONS`].
+    /// The largest connected regions in which the weight of any frame was reduced by more than half, the largest first:
+    /// at most [`MOST_REGIONS`].
     pub regions: Vec<GhostRegion>,
 }
 
@@ -68,7 +68,7 @@ pub struct GhostRegion {
 pub struct GhostFrame {
     /// Path of the file, as given.
     pub path: String,
-    /// Share of the result, by cells, where the frame was removed by more than half.
+    /// Share of the cells of the result in which deghosting reduced the weight of the frame by more than half.
     pub ghost_fraction: f64,
 }
 

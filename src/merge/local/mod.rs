@@ -38,9 +38,9 @@ use std::path::Path;
 const CELLS: usize = 256;
 /// Weights of R, G and B in the luminance (Rec. 709) that determines the gain, which is the same for all channels.
 const LUMINANCE: [f32; 3] = crate::merge::radiance::statistics::BT709;
-/// Largest fraction of an exposure step that phones are assumed to keep. If the sRGB curve shows a larger fraction, it
-/// has too many stops between the code values. Of 26 brackets of phones whose curve is close to sRGB's (truth.py) all
-/// but three keep 0.46 to 0.58.
+/// A phone that brightens short exposures shows only a fraction of an exposure step in the pixels: the largest fraction
+/// assumed. If the sRGB curve gives a larger one, the curve has too many stops between two code values. Measured with
+/// truth.py: of 26 phone brackets with a curve close to sRGB's, 23 have a fraction of 0.46 to 0.58.
 const MOST_FRACTION: f64 = 0.6;
 
 /// Factors for the radiance of each frame over a region of the reference frame.
@@ -99,9 +99,9 @@ pub fn curve(evidence: &Evidence) -> ResponseCurve {
     ResponseCurve::new(std::array::from_fn(|c| srgb.ln_exposure(c).map(|g| g / power))).unwrap_or(srgb)
 }
 
-/// Returns the smallest divisor, 1 or more, of the stops between the code values of sRGB for which no place is
-/// brightened by more than the exposures differ, and the median place keeps at most [`MOST_FRACTION`] of an exposure
-/// step.
+/// Returns the number, 1 or more, by which the stops between the code values of sRGB are divided: the smallest with
+/// which no place appears brightened by more than the exposures differ, and the median place shows at most
+/// [`MOST_FRACTION`] of an exposure step.
 fn power(evidence: &Evidence) -> f64 {
     evidence.most_step_fraction.max(evidence.step_fraction / MOST_FRACTION).max(1.0)
 }

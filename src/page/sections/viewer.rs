@@ -24,7 +24,7 @@ pub(in crate::page) fn viewer(page: &Page, report: &Report, result: Option<&Pict
         None => (" hidden", String::new(), ""),
     };
     let (layers, switches) = overlays(page, report);
-    // At a zoom of 100 %, the picture has this width in pixels of the screen.
+    // At a zoom of 100 %, a pixel of `held` is a pixel of the screen.
     let held = result.or(page.frames.first().map(|frame| &frame.photograph));
     let width = held.map_or(crop.width_px, |picture| picture.width);
     format!(

@@ -165,13 +165,13 @@ fn movement(report: &Report) -> Option<String> {
         return Some("Nothing moved in the scene.".into());
     };
     let mut words = format!(
-        "Something moved in {} of the picture, most of it {place}. There the picture shows what {} shows, so that nothing appears twice.",
+        "Something moved in {} of the picture, mostly {place}. Wherever something moved, the picture shows what {} shows, so that nothing appears twice.",
         percent(ghosts.ghost_fraction),
         reference(report)
     );
     if ghosts.continued_fraction > 0.0 {
         words += &format!(
-            " In {} of the picture the reference frame is clipped there; these places were filled in from their surroundings.",
+            " {} of the picture moved and is clipped in the reference frame; these places were filled in from their surroundings.",
             percent(ghosts.continued_fraction)
         );
     }

@@ -284,8 +284,8 @@ mod tests {
         }
     }
 
-    /// With a given light, or with a spot, the grey card is grey for every operator; with an estimate, it is less
-    /// coloured than without.
+    /// If the colour of the light or a grey spot is given, the grey card is grey with every operator; if the light is
+    /// estimated, the card is less coloured than without white balance.
     #[test]
     fn card_is_grey_in_its_light_for_every_operator() {
         let card = |pictures: &[Vec<[f32; 3]>]| -> Vec<f32> {

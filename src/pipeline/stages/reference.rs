@@ -64,7 +64,7 @@ pub(crate) fn align(mut bracket: Bracket, options: &Options) -> Result<(Bracket,
     Ok((bracket, alignment, warnings))
 }
 
-/// Whether the reference is chosen automatically, and frames can be rejected.
+/// Whether the reference is chosen automatically and, in addition, frames can be rejected.
 fn is_open(options: &Options) -> bool {
     let is_ours = matches!(options.load.reference, ReferenceChoice::Auto | ReferenceChoice::AutoExcept(_));
     is_ours

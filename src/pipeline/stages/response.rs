@@ -103,7 +103,7 @@ fn contradicted_response(
             ),
             false => {
                 format!(
-                    "the frames contradict this response by {found:.2} stops, but a response recovered from them by only {own:.2}"
+                    "the frames contradict this response by {found:.2} stops, but they contradict a response recovered from them by only {own:.2} stops"
                 )
             }
         };

@@ -87,13 +87,13 @@ impl Loss {
     pub fn warning(&self, path: &Path) -> Result<Option<Warning>> {
         let [red, green, blue] = self.channel_stops;
         let off = format!(
-            "off by {:.2} stops (root mean square of the luminance; red {red:.2}, green {green:.2}, blue {blue:.2})",
+            "wrong by {:.2} stops (root mean square of the luminance; red {red:.2}, green {green:.2}, blue {blue:.2})",
             self.luminance_stops
         );
         let most = self.channel_stops.into_iter().fold(self.luminance_stops, f64::max);
         if most > RESIDUAL {
             let reason = format!(
-                "the format cannot represent this curve: radiance merged with the file would be {off}; save the response as .json"
+                "the format cannot represent this curve: radiance that is merged with this response file would be {off}; save the response as .json"
             );
             return Err(Error::ResponseFile { path: path.to_owned(), reason });
         }
@@ -217,7 +217,7 @@ impl SavedResponse {
         let header: Header = serde_json::from_str(text)
             .map_err(|e| wrong(format!("it is not JSON with a \"schema\" ({e}){MAKE_ONE}")))?;
         if header.schema != SCHEMA {
-            return Err(wrong(format!("its schema is {:?}, and {SCHEMA:?} is supported", header.schema)));
+            return Err(wrong(format!("its schema is {:?}, but only {SCHEMA:?} is supported", header.schema)));
         }
         let document: Document = serde_json::from_str(text).map_err(|e| wrong(e.to_string()))?;
         let Channels { red, green, blue } = document.ln_exposure;

@@ -125,7 +125,7 @@ mod tests {
     fn equations_without_a_solution_of_their_own_are_refused() {
         let mut equations = LeastSquares::new(2);
         (0..9).for_each(|i| equations.push(&[1.0, 2.0, f64::from(i)], 1.0));
-        assert!(equations.solve().unwrap_err().contains("cannot be calculated"));
+        assert!(equations.solve().unwrap_err().contains("do not determine the curve"));
         let mut equations = LeastSquares::new(1);
         equations.push(&[f64::NAN, 1.0], 1.0);
         assert!(equations.solve().is_err());

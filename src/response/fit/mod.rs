@@ -128,7 +128,10 @@ fn check_plausible(g: &[f64; CODES], fit: &Fit) -> Fitted<()> {
     } else if !(CONTRAST.0..=CONTRAST.1).contains(&contrast) {
         Err(format!("the recovered curve has {contrast:.1} stops from pixel value 16 to 240"))
     } else if fit.residual_stops.is_nan() || fit.residual_stops > RESIDUAL {
-        Err(format!("the frames contradict each other by {:.2} stops", fit.residual_stops))
+        Err(format!(
+            "the pixel values of the frames do not fit their exposures: they deviate by {:.2} stops",
+            fit.residual_stops
+        ))
     } else {
         Ok(())
     }
@@ -141,7 +144,7 @@ pub fn determined(condition: f64) -> Fitted<()> {
 
 /// Returns the reason why there is no solution.
 pub fn undetermined(condition: f64) -> String {
-    format!("the curve cannot be calculated from the frames (condition {condition:.0e})")
+    format!("the frames do not determine the curve (condition number {condition:.0e})")
 }
 
 /// Returns the two neighbours of a code between integers, with their weights.

@@ -63,7 +63,8 @@ impl Basis {
         self.count
     }
 
-    /// Adds to `row`, which has a term for each coefficient, `factor` times the values of the splines at code `z`.
+    /// Multiplies the values of the splines at code `z` by `factor`, and adds them to `row`, which has a term for each
+    /// coefficient.
     pub fn add(&self, z: usize, factor: f64, row: &mut [f64]) {
         let (first, values) = &self.rows[z];
         row[*first..].iter_mut().zip(values).for_each(|(sum, b)| *sum += factor * b);

@@ -110,8 +110,8 @@ struct Tables {
     next: [f32; 256],
     /// The unrounded 16-bit code value at the lower edge of every cell, and at the upper edge of the last.
     fine: Vec<f32>,
-    /// The linear light at the lower edge of every piece, and at the upper edge of the last; pieces divide code values
-    /// 0..=1.
+    /// The range of code values, 0..=1, is split into pieces: linear light at the lower end of each piece, and at the
+    /// upper end of the last.
     light: Vec<f32>,
 }
 

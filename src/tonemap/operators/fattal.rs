@@ -16,8 +16,8 @@ use crate::tonemap::tones::Tones;
 /// Settings of the operator.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Options {
-    /// The gradient that is kept, relative to the mean gradient of its scale; steeper gradients are attenuated. The
-    /// paper uses 0.1, which attenuates most of the picture.
+    /// The gradient that stays unchanged, relative to the mean gradient of its scale; steeper gradients are attenuated.
+    /// The paper uses 0.1, which attenuates most of the picture.
     pub alpha: f64,
     /// Exponent of gradients relative to alpha, at every scale; 1 changes nothing. The paper uses 0.8 to 0.9.
     pub beta: f64,
@@ -42,8 +42,13 @@ impl Options {
     /// The settings by name.
     pub fn settings(&mut self) -> Vec<Setting<'_>> {
         vec![
-            Setting::number("alpha", (0.01, 3.0), &mut self.alpha, "gradient that is kept, relative to the mean"),
-            Setting::number("beta", (0.6, 1.0), &mut self.beta, "exponent of steeper gradients, at every scale"),
+            Setting::number(
+                "alpha",
+                (0.01, 3.0),
+                &mut self.alpha,
+                "gradient that stays unchanged, relative to the mean",
+            ),
+            Setting::number("beta", (0.6, 1.0), &mut self.beta, "exponent of gradients above alpha, at every scale"),
             Setting::number(
                 "noise",
                 (0.0, 3.0),

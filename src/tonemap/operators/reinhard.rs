@@ -179,7 +179,7 @@ mod tests {
     use crate::bracket::colour::Primaries;
     use crate::tonemap::overview::Overview;
 
-    /// Returns ten stops from left to right, where `change` gives no other value.
+    /// Returns a test picture: a ramp of ten stops from left to right. `change` may replace the value of a pixel.
     fn ramp(factor: f32, change: impl Fn(usize, usize) -> Option<f32> + Sync) -> Plane<[f32; 3]> {
         Plane::from_rows(500, 70, |y, row| {
             for (x, p) in row.iter_mut().enumerate() {

@@ -33,8 +33,8 @@ pub(crate) fn response(contrast: f64, sensitivity: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// In daylight sensitivity peaks at 2 to 6 cycles per degree with a threshold of about half a percent. In the dark
-    /// sensitivity is lower, most of all at high frequencies.
+    /// In daylight, the contrast sensitivity peaks at 2 to 6 cycles per degree, where the threshold is a contrast of
+    /// about 0.5 %. In the dark, the sensitivity is lower, most of all at high frequencies.
     #[test]
     fn sensitivity_is_that_of_an_eye() {
         let best = (1..300)

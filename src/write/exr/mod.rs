@@ -34,7 +34,7 @@ pub enum Compression {
     /// Deflate of one row at a time.
     #[strum(serialize = "zips")]
     Zip1,
-    /// No compression: about twice the size of piz.
+    /// No compression: about 1.6 times the size of piz with half floats, 1.1 times with 32-bit floats.
     None,
 }
 

@@ -13,7 +13,7 @@ pub enum Sample {
     /// half, or float if the radiance needs more range or precision.
     #[default]
     Auto,
-    /// 16-bit floats: values up to 65504, rounded by at most 1/2048 of the value (from 6e-5 up).
+    /// 16-bit floats: values up to 65504, rounded by at most 1/2048 of the value, below 6e-5 by more.
     Half,
     /// 32-bit floats: exactly as merged.
     Float,

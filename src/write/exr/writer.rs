@@ -86,7 +86,7 @@ impl RowWriter<[f32; 3]> for Writer {
             self.file.write_all(&table)
         };
         end().map_err(|e| self.file.error(e))?;
-        let what = "are above 65504 and were limited to it; --exr-type float keeps them";
+        let what = "are above 65504 and were set to 65504; --exr-type float stores them unchanged";
         let warnings = clamped(&self.file, self.over, what);
         Written::ended(self.file, warnings)
     }
@@ -187,7 +187,7 @@ fn encode_band(
     out: &mut Vec<u8>,
 ) -> Encoded {
     let rows = header.compression.scan_lines_per_block();
-    debug_assert!(BAND_ROWS.is_multiple_of(rows), "a block is inside a band");
+    debug_assert!(BAND_ROWS.is_multiple_of(rows), "every block of rows must be inside one band of rows");
     let mut over = 0;
     let blocks = pixels.chunks(rows * width).enumerate().map(|(i, block)| {
         let (start, y, size) = (out.len(), first + i * rows, (width, block.len() / width));

@@ -38,7 +38,11 @@ pub fn write(path: &Path, mask: &Plane<u8>) -> Result<Written> {
 }
 
 fn encode(mask: &Plane<u8>) -> io::Result<Vec<u8>> {
-    let side = |n: usize| u32::try_from(n).map_err(|_| io::Error::other("a side of a PNG has fewer than 2^32 pixels"));
+    let side = |n: usize| {
+        u32::try_from(n).map_err(|_| {
+            io::Error::other("the picture is too large: each side of a PNG must have fewer than 2^32 pixels")
+        })
+    };
     let mut bytes = Vec::new();
     let mut encoder = png::Encoder::new(&mut bytes, side(mask.width())?, side(mask.height())?);
     encoder.set_color(png::ColorType::Grayscale);

@@ -91,7 +91,9 @@ impl<T: Sample> RowWriter<[T; 3]> for Writer<T> {
 fn header((width, height): (usize, usize), bits: u8, metadata: &Metadata, colours: Colours) -> io::Result<Vec<u8>> {
     let side = |n: usize| {
         u32::try_from(n)
-            .map_err(|_| io::Error::other("a side of a PNG has fewer than 2^32 pixels"))
+            .map_err(|_| {
+                io::Error::other("the picture is too large: each side of a PNG must have fewer than 2^32 pixels")
+            })
             .map(u32::to_be_bytes)
     };
     let mut out = b"\x89PNG\r\n\x1a\n".to_vec();

@@ -88,7 +88,7 @@ fn locked_in(folder: &Path) -> io::Result<NamedTempFile> {
             Err(TryLockError::Error(_)) => return Ok(lock),
         }
     }
-    Err(io::Error::other("temporary files disappear from the folder as soon as they are made"))
+    Err(io::Error::other("another program deletes temporary files in this folder as soon as they are made"))
 }
 
 /// Returns the ID in the name of a lock file; `None` for other names.

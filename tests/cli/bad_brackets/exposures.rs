@@ -73,7 +73,11 @@ fn exif_wrong_by_a_stop_is_partly_corrected_with_a_warning() {
         folder.put(&format!("f{}.jpg", i + 1), &timed(&frame(i + 2), 1, denom));
     }
     let merged = merged(&folder, "f1.jpg f2.jpg f3.jpg");
-    assert!(merged.warns(true, &["by the pixels, the exposure is wrong by", "give -e"]), "{:?}", merged.warnings());
+    assert!(
+        merged.warns(true, &["according to the pixels, the exposure should be corrected by", "give -e"]),
+        "{:?}",
+        merged.warnings()
+    );
     assert_eq!(merged.frame("f3.jpg")["exposure_source"], "exif");
 }
 

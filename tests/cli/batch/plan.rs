@@ -102,7 +102,7 @@ fn invalid_plan_is_rejected_with_its_line() {
     let run = |options: &str| refused(folder.line(&format!("batch --run plan.jsonl {options}")));
     assert!(run("--id nothing").contains("no job \"nothing\""));
     assert!(run("").contains("--id"));
-    assert!(run(&format!("--id {id} --tmo drago")).contains("must be given with --plan"));
+    assert!(run(&format!("--id {id} --tmo drago")).contains("give it when the plan is made (--plan)"));
     folder.put("plan.jsonl", line.to_string().replace("hdralign 0", "hdralign 99").as_bytes());
     assert!(run(&format!("--id {id}")).contains("create the plan again"));
     folder.put("plan.jsonl", b"\n{\"schema\": 1}\n");

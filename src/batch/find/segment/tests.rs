@@ -103,9 +103,9 @@ const MANUAL: Habit = Habit {
     is_to_and_fro: false,
 };
 
-/// Each habit with the smallest percentage of brackets that must be found exactly: the measured percentage, rounded
-/// down. The percentages with 60 cards per habit instead of 8 are the table in docs/reference/bracket-detection.md.
-/// (Brackets with deleted frames cannot all be found: two frames a third of a stop apart are not a bracket.)
+/// Each habit of photographers, and the percentage of its brackets that must be found exactly: the measured one,
+/// rounded down, for 8 simulated memory cards. The table in docs/reference/bracket-detection.md has the percentages for
+/// 60 cards. (Brackets with deleted frames cannot all be found: two frames a third of a stop apart are not a bracket.)
 fn habits() -> Vec<(Habit, f64)> {
     vec![
         (AUTO, 100.0),

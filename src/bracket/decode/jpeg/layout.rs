@@ -96,9 +96,9 @@ impl Layout {
                 self.check_sampling()?;
             }
             0xC3 | 0xC5..=0xC7 | 0xC9..=0xCB | 0xCD..=0xCF => {
-                return Err("it is lossless, hierarchical or arithmetic-coded JPEG, which is not supported; save it as plain JPEG".into());
+                return Err("it is lossless, hierarchical or arithmetic-coded JPEG, which is not supported; save it as baseline JPEG".into());
             }
-            JPEG_LS => return Err("it is JPEG-LS, which is not supported; save it as plain JPEG".into()),
+            JPEG_LS => return Err("it is JPEG-LS, which is not supported; save it as baseline JPEG".into()),
             0xDA => {
                 let count = usize::from(content.first().copied().unwrap_or(0));
                 let (Some(of), Some(&[first, last, bits])) =
@@ -130,7 +130,7 @@ impl Layout {
             |own: &[u8; 2]| (0..2).any(|axis| own[axis] > 0 && !self.finest(axis).is_multiple_of(own[axis]));
         match self.sampling.iter().find(|own| own[0] == 3 || is_fraction(own)) {
             Some([across, down]) => {
-                let reason = "which is not supported; save it as plain JPEG";
+                let reason = "which is not supported; save it as baseline JPEG";
                 Err(format!("one of its components has the sampling factors {across}x{down}, {reason}"))
             }
             None => Ok(()),
