@@ -12,6 +12,7 @@ use super::row_writer::RowWriter;
 use super::staging::{Pending, Written, clamped};
 use crate::bracket::colour::{NeutralXyz, Primaries};
 use crate::error::Result;
+use crate::merge::Photographed;
 use crate::pixel::rgbe::Scanline;
 
 /// Lumens per watt of Radiance's white, by definition.
@@ -138,7 +139,13 @@ fn encode_band(
 /// Returns the header, the blank line and the resolution.
 fn header((width, height): (usize, usize), metadata: &Metadata, encoding: Encoding) -> String {
     let mut lines = vec!["#?RADIANCE".to_owned()];
-    lines.extend(metadata.comments.iter().map(|c| format!("# {}", one_line(c))));
+    // Readers divide by EXPOSURE, and XYZE by 179: the radiances in comments must be in W/sr/m2, too.
+    let unit = metadata.cd_m2_per_unit.map_or(1.0, |luminance| luminance.get() / WHITE_EFFICACY);
+    let in_unit = |comment: &String| match Photographed::read([comment]) {
+        Some(photographed) if unit != 1.0 => photographed.times(unit).to_string(),
+        _ => one_line(comment),
+    };
+    lines.extend(metadata.comments.iter().map(|comment| format!("# {}", in_unit(comment))));
     lines.push(format!("SOFTWARE={}", one_line(&metadata.software)));
     lines.extend(metadata.camera().map(|c| format!("CAMERA={c}")));
     let date = metadata.capture.date.as_deref().map(one_line);
@@ -266,6 +273,25 @@ mod tests {
         let (map, back) = parsed(&bytes);
         // Read back, the scale is again 4 and white is 1, as in RGBE.
         assert!((back.exposure_scale.get() - 4.0).abs() < 1e-12 && (map.pixels.at(0, 0)[1] - 1.0).abs() < 0.01);
+    }
+
+    /// `natural` exposes by the radiances of the comment, which must be in the unit of the pixels that are read.
+    #[test]
+    fn radiances_of_the_comment_have_the_unit_of_the_pixels() {
+        let photographed = Photographed { longest: 0.5, shortest: 8.0, contrast: 1.2, white_stops: 2.5 };
+        let metadata = Metadata {
+            cd_m2_per_unit: Some(factor(358.0)),
+            comments: vec![photographed.to_string()],
+            ..Metadata::default()
+        };
+        let grey = Plane::filled(8, 1, [0.5; 3]);
+        for encoding in [Encoding::Rgbe, Encoding::Xyze] {
+            let (map, back) = parsed(&encoded(&grey, &metadata, encoding).0);
+            let longest = Photographed::read(&back.comments).unwrap().longest;
+            let pixel = f64::from(map.pixels.at(4, 0)[1]) / back.exposure_scale.get();
+            // A step of the mantissa is 1/128 at most.
+            assert!((pixel / longest - 1.0).abs() < 0.01, "{encoding}: {pixel} {longest}");
+        }
     }
 
     /// The `image` crate decodes to mantissa * 2^(exponent - 136), without the half step; our values are larger by half

@@ -86,7 +86,7 @@ pub(crate) fn periods(picture: &GreyPyramid, max_shift: f64) -> Vec<(f64, f64)> 
         let here = at(x, y);
         here >= ALIKE
             && 1.0 - here < NEARER * (1.0 - at(x / 2, y / 2))
-            && (-1..=1).all(|j| (-1..=1).all(|i| !(here < at(x + i, y + j))))
+            && (-1..=1).all(|j| (-1..=1).all(|i| at(x + i, y + j).is_nan() || here >= at(x + i, y + j)))
     };
     let half_plane = (0..=steps).flat_map(|y| (-steps..=steps).map(move |x| (x, y)));
     let mut found: Vec<(f64, Shift)> = half_plane
