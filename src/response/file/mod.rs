@@ -296,7 +296,7 @@ mod tests {
         assert_eq!(warning(0.004, 0.009).unwrap(), None);
         let found = warning(0.012, 0.34).unwrap().unwrap().to_string();
         assert!(
-            found.contains("c.rsp") && found.contains("off by 0.01 stops") && found.contains("blue 0.34"),
+            found.contains("c.rsp") && found.contains("wrong by 0.01 stops") && found.contains("blue 0.34"),
             "{found}"
         );
         let refused = warning(0.1, 0.6).unwrap_err().to_string();
