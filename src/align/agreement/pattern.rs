@@ -31,24 +31,34 @@ impl Warped {
     /// The `frame` under the transform `h`, reference -> frame in pixels of the planes.
     pub(crate) fn new(frame: &Plane<f32>, h: &Matrix3<f64>, (width, height): (usize, usize), margin: usize) -> Self {
         let (right, bottom) = (frame.width() as f64 - 1.0, frame.height() as f64 - 1.0);
+        let is_inside = |(u, w): (f64, f64)| u >= 0.0 && w >= 0.0 && u < right && w < bottom;
+        let is_identity = *h == Matrix3::identity();
         let mut plane = Plane::filled(width + 2 * margin, height + 2 * margin, f32::NAN);
         plane.fill_rows(|row_at, row| {
             let Some(y) = row_at.checked_sub(margin).filter(|&y| y < height) else { return };
+            let row = &mut row[margin..margin + width];
+            if is_identity {
+                // The same as below, where the last row and column have no neighbour.
+                if y + 1 < frame.height() {
+                    let count = width.min(frame.width() - 1);
+                    row[..count].copy_from_slice(&frame.row(y)[..count]);
+                }
+                return;
+            }
             // Over a few pixels a homography is linear to within a ten-thousandth of a pixel.
-            for (start, piece) in row[margin..margin + width].chunks_mut(PIECE).enumerate().map(|(i, p)| (i * PIECE, p))
-            {
+            for (start, piece) in row.chunks_mut(PIECE).enumerate().map(|(i, p)| (i * PIECE, p)) {
                 let from = map(h, start as f64, y as f64);
                 let to = map(h, (start + PIECE) as f64, y as f64);
                 let step = ((to.0 - from.0) / PIECE as f64, (to.1 - from.1) / PIECE as f64);
-                for (i, v) in piece.iter_mut().enumerate() {
-                    let (u, w) = (from.0 + step.0 * i as f64, from.1 + step.1 * i as f64);
-                    if u >= 0.0 && w >= 0.0 && u < right && w < bottom {
-                        let (x, y) = (u as usize, w as usize);
-                        let (fx, fy) = ((u - x as f64) as f32, (w - y as f64) as f32);
-                        let (upper, lower) = (&frame.row(y)[x..x + 2], &frame.row(y + 1)[x..x + 2]);
-                        let (top, bottom) =
-                            (upper[0] + fx * (upper[1] - upper[0]), lower[0] + fx * (lower[1] - lower[0]));
-                        *v = top + fy * (bottom - top);
+                let at = |i: usize| (from.0 + step.0 * i as f64, from.1 + step.1 * i as f64);
+                let (first, last) = (at(0), at(piece.len() - 1));
+                if is_inside(first) && is_inside(last) && first.1 as usize == last.1 as usize {
+                    // All pixels of the piece are between the same two rows.
+                    let rows = two_rows(frame, first.1 as usize);
+                    piece.iter_mut().enumerate().for_each(|(i, v)| *v = bilinear(rows, at(i)));
+                } else {
+                    for (i, v) in piece.iter_mut().enumerate().filter(|(i, _)| is_inside(at(*i))) {
+                        *v = bilinear(two_rows(frame, at(i).1 as usize), at(i));
                     }
                 }
             }
@@ -62,7 +72,23 @@ impl Warped {
     }
 }
 
-/// Pixels of a row whose positions are interpolated linearly.
+/// Row `y` of `frame` and the one below it.
+#[inline(always)]
+fn two_rows(frame: &Plane<f32>, y: usize) -> (&[f32], &[f32]) {
+    (frame.row(y), frame.row(y + 1))
+}
+
+/// The value at (`u`, `w`), between the rows of which the first has the index floor(`w`).
+#[inline(always)]
+fn bilinear((upper, lower): (&[f32], &[f32]), (u, w): (f64, f64)) -> f32 {
+    let (x, y) = (u as usize, w as usize);
+    let (fx, fy) = ((u - x as f64) as f32, (w - y as f64) as f32);
+    let (upper, lower) = (&upper[x..x + 2], &lower[x..x + 2]);
+    let (top, bottom) = (upper[0] + fx * (upper[1] - upper[0]), lower[0] + fx * (lower[1] - lower[0]));
+    top + fy * (bottom - top)
+}
+
+/// Length, in pixels, of the parts of a row within which positions are interpolated linearly.
 const PIECE: usize = 16;
 
 /// The paraboloid around the best correlation of a tile.
