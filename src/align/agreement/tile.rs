@@ -20,7 +20,7 @@ pub(super) enum Tile {
     Disagrees {
         correlation: f32,
     },
-    /// Did not move although the transform moves it.
+    /// It stayed at the same pixels, although the transform predicts a displacement.
     Still {
         correlation: f32,
     },

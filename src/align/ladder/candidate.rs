@@ -26,7 +26,7 @@ pub(crate) struct Candidate {
     pub(crate) tile_error_px: f64,
     /// Whether it was fitted to the tiles rather than to the pixels.
     pub(crate) by_tiles: bool,
-    /// Reliability of the target that it was found against, times the uniqueness of the candidate, 0..=1.
+    /// Reliability of the frame that the candidate was matched with, times the uniqueness of the candidate, 0..=1.
     pub(crate) reliability: f64,
     /// The error that halves the confidence, in pixels: [`TOLERANCE_PX`] for a picture with a diagonal of up to 2000
     /// pixels, more for a larger one.

@@ -12,7 +12,8 @@ use crate::align::transform::{Model, Transform, distance, level_to_full, restric
 /// Distance up to which two transforms are treated as the same, in pixels (root mean square over the picture).
 const SAME_PX: f64 = 0.03;
 
-/// Largest distance of a smaller model before it is fitted, as a multiple of the error.
+/// A model with fewer parameters is fitted only if its starting values differ from the homography by at most this many
+/// times the error of the homography.
 const MOST_EXCESS: f64 = 5.0;
 
 /// Displacement up to which a frame is unmoved, in pixels: resampling would do more harm than good.

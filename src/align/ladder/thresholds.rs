@@ -46,7 +46,8 @@ pub(crate) const DECISIVE_NATS: f64 = 2.0;
 
 // Features.
 
-/// Fewest inliers of an accepted homography: it is determined by four, and chance may add as many. Chosen.
+/// Fewest inliers of an accepted homography. Four points always fit, four more may fit by chance, and two are a margin.
+/// Chosen.
 pub(super) const LEAST_INLIERS: usize = 10;
 /// Bitmaps and features corroborate each other if their transforms differ by no more than this, in pixels of the full
 /// size for each 1000 of the diagonal. Chosen.
@@ -59,7 +60,8 @@ pub(super) const CORROBORATED_CONFIDENCE: f64 = 0.7;
 
 // Frames that are inferred from others.
 
-/// Confidence of a transform inferred from other frames without error, 0..=1; it decreases with the expected error.
+/// Confidence, 0..=1, of a transform that is inferred from other frames, if its expected error is 0; with a larger error
+/// the confidence is lower.
 /// Above [`INFERRING_CONFIDENCE`], so that such a frame is not uncertain, and below the confidence of agreeing tiles.
 /// Chosen.
 pub(crate) const INFERRED_CONFIDENCE: f64 = 0.6;

@@ -1,10 +1,9 @@
 //! The dominant motion: the homography that fits the largest part of a picture in which parts move differently.
 //!
 //! In: the cells of a [`LocalField`](super::LocalField), that is, displacements from a transform. Out: the homography
-//! within half a pixel of most of the cells, or none if the transform is as good. Cost: 200 trials of 8 x 8 equations,
-//! each compared with some thousand cells. Source: Fischler & Bolles, CACM 24(6), 1981 (random samples); Torr &
-//! Zisserman, CVIU 78, 2000 (a bounded loss as score); Chum, Matas & Kittler, DAGM 2003 (refined after every
-//! improvement).
+//! within a pixel of most of the cells, or none if the transform is nearly as good. Cost: 200 trials of 8 x 8 equations
+//! and 48 refinements, each on up to 1500 cells: some 30 ms. Source: Fischler & Bolles, CACM 24(6), 1981 (random samples,
+//! scored by the number of inliers); Chum, Matas & Kittler, DAGM 2003 (the best samples are refined).
 //!
 //! Refinement minimises the difference of the pixels. Where parts of the picture move differently by a few pixels, its
 //! result is a compromise that fits none of them, and it fits the part with the strongest contrast best. Here every cell
@@ -16,24 +15,23 @@ use crate::statistics::{biweight, random};
 use nalgebra::{DMatrix, DVector, Matrix3};
 use std::cmp::Reverse;
 
-/// Displacements that a homography may leave, as standard deviations along an axis in pixels of the full size. Times
-/// [`TUKEY`], which gives 1 to 2.8 px, they are the displacements without weight. The narrow one follows one of many planes,
-/// the wide one a surface that bends.
+/// Tolerances of the refinement: standard deviations, along an axis, of the displacements that a homography leaves, in
+/// pixels of the full size. A cell that is displaced by [`TUKEY`] times as much (1 to 2.8 px) has no weight. With the
+/// narrow one the result follows one of many planes, with the wide one a surface that bends.
 const TOLERANCES_PX: [f64; 3] = [0.2, 0.35, 0.6];
 /// Displacement up to which a cell fits, in pixels of the full size: no double edge is visible.
 const FITS_PX: f64 = 1.0;
 /// Tukey's constant: 95 % efficient on normal noise.
 const TUKEY: f64 = 4.685;
-/// Random samples. With four fifths of the cells on another motion, two trials in a thousand draw four of the same, but
-/// the prior makes two of the same and any two alike enough for the refinement to converge.
+/// Number of random samples. If half of the cells have the dominant motion, twelve of them draw four such cells.
 const TRIALS: u64 = 200;
-/// The best samples, which are refined.
+/// Number of the best samples, which are refined.
 const SETTLED: usize = 16;
-/// Cells of a sample: as many as determine a homography.
+/// Number of cells of a sample: four determine a homography.
 const SAMPLE: usize = 4;
-/// Most cells that a sample is compared with.
+/// Largest number of cells that a sample is compared with.
 const COMPARED: usize = 1500;
-/// Steps of reweighted least squares from a sample, and at the end.
+/// Number of steps of reweighted least squares: (from a sample, at the end).
 const STEPS: (usize, usize) = (5, 10);
 /// Length along which displacements are alike, in cells: the misfit of so many cells squared counts as one observation
 /// for the prior and for the error estimate.
@@ -45,7 +43,7 @@ const LEAST_GAIN: f64 = 0.01;
 pub(super) struct Dominant {
     /// Reference pixel -> frame pixel.
     pub(super) h: Matrix3<f64>,
-    /// Expected root mean square error over the picture, where no cell is known, too.
+    /// Expected root mean square error over the whole picture, including the parts without known cells.
     pub(super) error: f64,
 }
 
@@ -95,7 +93,7 @@ struct Observation {
     /// Derivatives of the position by the parameters of the motion.
     jacobian: [[f64; 2]; 8],
     displacement: [f64; 2],
-    /// Inverse covariance of the displacement, [xx, xy, yy]; with the tolerance as an independent error.
+    /// Inverse of the covariance [xx, xy, yy] of the displacement, to which the square of the tolerance was added.
     precision: [f64; 3],
 }
 

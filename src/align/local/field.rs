@@ -76,7 +76,7 @@ pub(crate) struct LocalField {
     overlap: f64,
     /// The cells whose displacement is known.
     cells: Vec<Cell>,
-    /// Number of cells that did not move although the transform moves them.
+    /// Number of cells whose content stayed at the same pixels, although the transform predicts a displacement.
     still: usize,
 }
 

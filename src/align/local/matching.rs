@@ -52,7 +52,8 @@ impl Match {
 pub(super) enum Found {
     /// Its displacement from the position that the transform gives.
     Displacement(TileDisplacement),
-    /// It did not move although the transform moves it: it belongs to the camera or to a caption, not to the scene.
+    /// It stayed at the same pixels, although the transform predicts a displacement: it belongs to the camera or to a
+    /// caption, not to the scene.
     Still,
     /// It matches nowhere.
     Nothing,
@@ -160,7 +161,7 @@ impl Matches {
         self.all.iter().flatten().filter(|m| matches!(m.found, Found::Nothing)).count()
     }
 
-    /// Number of patches that did not move although the transform moves them.
+    /// Number of patches whose content stayed at the same pixels, although the transform predicts a displacement.
     pub(super) fn still(&self) -> usize {
         self.all.iter().flatten().filter(|m| matches!(m.found, Found::Still)).count()
     }
