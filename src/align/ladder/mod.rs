@@ -4,10 +4,11 @@
 //! that the bitmaps settle; several times as much for a difficult one.
 //!
 //! A frame is aligned to the reference by bitmaps (`starts`), refined and checked (`candidate`). If that does not
-//! settle it, it is also aligned to its nearest aligned neighbour in exposure, by features, and from the other minima
-//! of the bitmap search (`doubtful`). `selection` chooses among the candidates, and `reduction` the smallest sufficient
+//! settle it, it is also aligned to its nearest aligned neighbour in exposure, by features, from the other minima of the
+//! bitmap search, and by shifts by a period of a reference that repeats itself (`doubtful`). `selection` chooses among the candidates, and `reduction` the smallest sufficient
 //! model. The transform of a frame with too little detail is inferred from the other frames (`inferred`,
-//! `camera_track`). At last, `local_check` measures what no single transform can fit.
+//! `camera_track`). At last, `local_check` measures what no single transform can fit, and replaces a compromise between
+//! several motions by the dominant one.
 
 mod camera_track;
 mod candidate;
