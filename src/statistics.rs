@@ -22,6 +22,12 @@ pub fn median<T: Copy + Into<f64>>(values: impl IntoIterator<Item = T>) -> Optio
 /// Median absolute deviation of a normal distribution, in standard deviations: the normal quantile of 3/4.
 pub const MEDIAN_DEVIATION: f64 = 0.6745;
 
+/// Reach of Tukey's biweight, in standard deviations, at which it is 95 % efficient on normal noise.
+pub const TUKEY: f64 = 4.685;
+
+/// The median of the squared length of a normal vector in the plane, in units of its variance along an axis: 2 ln 2.
+pub const MEDIAN_SQUARE: f64 = 1.386;
+
 /// Returns Tukey's biweight of `t`, a residual divided by the largest residual that counts: 1 for 0; 0 for |t| >= 1 and
 /// for NaN.
 pub fn biweight(t: f64) -> f64 {

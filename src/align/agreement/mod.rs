@@ -26,9 +26,9 @@ use std::sync::OnceLock;
 const TILES: usize = 16;
 /// Least side of a tile, in pixels. A narrower picture has no tiles and cannot be checked.
 pub(crate) const LEAST_SIDE: usize = 8;
-/// Largest share of the tiles that did not move although the transform moves them and that are not counted: captions,
-/// watermarks, dust.
-const MOST_STILL: f64 = 1.0 / 3.0;
+/// Largest share of the picture that did not move although the transform moves it, and that is not counted: captions,
+/// watermarks, dust. With more, the transform may follow something that moved, and the rest be the scene.
+pub(crate) const MOST_STILL: f64 = 1.0 / 3.0;
 /// Search range of a tile around its position, in pixels.
 const REACH: isize = 3;
 

@@ -10,15 +10,11 @@
 
 use crate::align::agreement::{TileCheck, TileDisplacement};
 use crate::align::transform::{Increment, Model};
-use crate::statistics::{biweight, median};
+use crate::statistics::{MEDIAN_SQUARE, TUKEY, biweight, median};
 use nalgebra::{DMatrix, DVector, Matrix3};
 
 /// Fewest tiles for a fit.
 const LEAST_TILES: usize = 8;
-/// Tukey's constant: 95 % efficient on normal noise.
-const TUKEY: f64 = 4.685;
-/// The median of the squared length of a normal vector in the plane, in units of its variance along an axis.
-const MEDIAN_SQUARE: f64 = 1.386;
 /// Factor by which the standard error is increased because neighbouring tiles are correlated.
 const CORRELATION_FACTOR: f64 = 1.5;
 /// Rounds of reweighting.

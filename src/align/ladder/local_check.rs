@@ -29,11 +29,13 @@ impl Search<'_> {
     }
 
     /// The estimate with what the local displacements add to its error; in [`AlignMode::Auto`] with the transform of the
-    /// dominant motion.
+    /// dominant motion, if the frame moved.
     fn checked_locally(&self, i: usize, estimate: &Estimate) -> Estimate {
         let pair = FramePair::new(self.reference_pyramid(), &self.pyramids[i], &estimate.transform);
         let field = LocalField::new(&pair, &estimate.transform);
-        let dominant = if self.options.mode == AlignMode::Auto { field.dominant() } else { None };
+        // A frame of a tripod is not resampled because things moved.
+        let is_moved = estimate.model != Model::Unmoved;
+        let dominant = if self.options.mode == AlignMode::Auto && is_moved { field.dominant() } else { None };
         let (field, estimate) = match dominant {
             Some((field, error_px)) => {
                 let transform = field.transform();

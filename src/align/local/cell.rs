@@ -47,7 +47,7 @@ pub(super) fn precision(sum: [f64; 3], count: f64, v: f64) -> [f64; 3] {
     [scale * (p * xx + q * xy), scale * (p * xy + q * yy), scale * (r * xy + s * yy)]
 }
 
-/// d^T S d.
-fn square(sharpness: [f64; 3], d: [f64; 2]) -> f64 {
+/// Returns d^T S d for the symmetric matrix S = [xx, xy, yy].
+pub(super) fn square(sharpness: [f64; 3], d: [f64; 2]) -> f64 {
     sharpness[0] * d[0] * d[0] + 2.0 * sharpness[1] * d[0] * d[1] + sharpness[2] * d[1] * d[1]
 }

@@ -9,9 +9,9 @@
 //! result is a compromise that fits none of them, and it fits the part with the strongest contrast best. Here every cell
 //! has the same weight, whatever its contrast, and a cell that moves differently has none.
 
-use crate::align::local::cell::Cell;
+use crate::align::local::cell::{Cell, square};
 use crate::align::transform::{Increment, Model};
-use crate::statistics::{biweight, random};
+use crate::statistics::{TUKEY, biweight, random};
 use nalgebra::{DMatrix, DVector, Matrix3};
 use std::cmp::Reverse;
 
@@ -21,8 +21,6 @@ use std::cmp::Reverse;
 const TOLERANCES_PX: [f64; 3] = [0.2, 0.35, 0.6];
 /// Displacement up to which a cell fits, in pixels of the full size: no double edge is visible.
 const FITS_PX: f64 = 1.0;
-/// Tukey's constant: 95 % efficient on normal noise.
-const TUKEY: f64 = 4.685;
 /// Number of random samples. If half of the cells have the dominant motion, twelve of them draw four such cells.
 const TRIALS: u64 = 200;
 /// Number of the best samples, which are refined.
@@ -115,8 +113,7 @@ impl Observation {
             x -= s * j[0];
             y -= s * j[1];
         }
-        let [xx, xy, yy] = self.precision;
-        (xx * x * x + 2.0 * xy * x * y + yy * y * y).max(0.0).sqrt()
+        square(self.precision, [x, y]).max(0.0).sqrt()
     }
 }
 

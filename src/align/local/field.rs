@@ -7,7 +7,7 @@
 //! neighbours is that of a larger patch with a boundary that adapts: a neighbour that moves differently has no weight.
 //! The noise is the scatter of the matches about the field, so that a dark or noisy frame needs more evidence.
 
-use crate::align::agreement::TileDisplacement;
+use crate::align::agreement::{MOST_STILL, TileDisplacement};
 use crate::align::grey::measured_level;
 use crate::align::local::cell::{Cell, precision};
 use crate::align::local::matching::Matches;
@@ -15,15 +15,11 @@ use crate::align::local::{dominant, matching};
 use crate::align::refinement::FramePair;
 use crate::align::result::Displaced;
 use crate::align::transform::{Transform, map, off_level, on_level};
-use crate::statistics::{biweight, median};
+use crate::statistics::{MEDIAN_SQUARE, TUKEY, biweight, median};
 use nalgebra::Matrix3;
 
 /// Rounds of reweighting.
 const ROUNDS: usize = 3;
-/// Tukey's constant: 95 % efficient on normal noise.
-const TUKEY: f64 = 4.685;
-/// The median of the squared length of a normal vector in the plane, in units of its variance along an axis.
-const MEDIAN_SQUARE: f64 = 1.386;
 /// Root mean square displacement that interpolation and the parabola cause where nothing is displaced, in pixels of the
 /// level. Measured on rendered brackets of planar scenes.
 const PEAK_BIAS: f64 = 0.03;
@@ -43,9 +39,6 @@ const LEAST_DISPLACED: f64 = 0.01;
 /// Least root mean square displacement for which a motion that fits more of the picture is searched, in pixels of the full
 /// size.
 const LEAST_MISFIT_PX: f64 = 0.15;
-/// Largest share of a picture that does not move with the scene and is not counted: with more, the transform may follow
-/// something that moved, and the rest be the scene.
-const MOST_STILL: f64 = 1.0 / 3.0;
 /// Displacement from which a cell is a reason to search farther, in pixels of the full size.
 const SUSPICIOUS_PX: f64 = 1.0;
 /// Share of such cells, and of those without a match, up to which nothing is searched farther.

@@ -121,7 +121,7 @@ impl Matches {
         let (columns, rows) = (count(width), count(height));
         let warped = Warped::new(&both.frame, h, (width, height), reach);
         let unmoved = OnceLock::new();
-        let unmoved = || unmoved.get_or_init(|| Warped::new(&both.frame, &Matrix3::identity(), (width, height), 1));
+        let unmoved = || unmoved.get_or_init(|| Warped::new(&both.frame, &Matrix3::identity(), (width, height), 0));
         let back = h.try_inverse().unwrap_or_else(Matrix3::identity);
         let find = |i: usize| {
             let (column, row) = (i % columns, i / columns);
@@ -141,8 +141,7 @@ impl Matches {
                 let away = [u - centre[0], v - centre[1]];
                 let is_here = (away[0] - shift.0 as f64).abs() <= 1.0 && (away[1] - shift.1 as f64).abs() <= 1.0;
                 let moves = away[0] * away[0] + away[1] * away[1] >= LEAST_MOTION * LEAST_MOTION;
-                let still =
-                    || AROUND.iter().chain([&(0, 0)]).map(|&s| pattern.correlation(unmoved(), s)).fold(-1.0, f32::max);
+                let still = || pattern.correlation(unmoved(), (0, 0));
                 moves && (is_here && best >= LEAST_CORRELATION || is_better(still(), best))
             };
             let found = match peak {
