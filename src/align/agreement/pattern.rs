@@ -30,37 +30,19 @@ pub(crate) struct Warped {
 impl Warped {
     /// The `frame` under the transform `h`, reference -> frame in pixels of the planes.
     pub(crate) fn new(frame: &Plane<f32>, h: &Matrix3<f64>, (width, height): (usize, usize), margin: usize) -> Self {
-        let (right, bottom) = (frame.width() as f64 - 1.0, frame.height() as f64 - 1.0);
-        let is_inside = |(u, w): (f64, f64)| u >= 0.0 && w >= 0.0 && u < right && w < bottom;
         let is_identity = *h == Matrix3::identity();
         let mut plane = Plane::filled(width + 2 * margin, height + 2 * margin, f32::NAN);
         plane.fill_rows(|row_at, row| {
             let Some(y) = row_at.checked_sub(margin).filter(|&y| y < height) else { return };
             let row = &mut row[margin..margin + width];
             if is_identity {
-                // The same as below, where the last row and column have no neighbour.
+                // The same as by `WarpRow`, where the last row and column have no neighbour.
                 if y + 1 < frame.height() {
                     let count = width.min(frame.width() - 1);
                     row[..count].copy_from_slice(&frame.row(y)[..count]);
                 }
-                return;
-            }
-            // Over a few pixels a homography is linear to within a ten-thousandth of a pixel.
-            for (start, piece) in row.chunks_mut(PIECE).enumerate().map(|(i, p)| (i * PIECE, p)) {
-                let from = map(h, start as f64, y as f64);
-                let to = map(h, (start + PIECE) as f64, y as f64);
-                let step = ((to.0 - from.0) / PIECE as f64, (to.1 - from.1) / PIECE as f64);
-                let at = |i: usize| (from.0 + step.0 * i as f64, from.1 + step.1 * i as f64);
-                let (first, last) = (at(0), at(piece.len() - 1));
-                if is_inside(first) && is_inside(last) && first.1 as usize == last.1 as usize {
-                    // All pixels of the piece are between the same two rows.
-                    let rows = two_rows(frame, first.1 as usize);
-                    piece.iter_mut().enumerate().for_each(|(i, v)| *v = bilinear(rows, at(i)));
-                } else {
-                    for (i, v) in piece.iter_mut().enumerate().filter(|(i, _)| is_inside(at(*i))) {
-                        *v = bilinear(two_rows(frame, at(i).1 as usize), at(i));
-                    }
-                }
+            } else {
+                vectorised(WarpRow { frame, h, y, row });
             }
         });
         Warped { plane, margin }
@@ -72,19 +54,59 @@ impl Warped {
     }
 }
 
-/// Row `y` of `frame` and the one below it.
-#[inline(always)]
-fn two_rows(frame: &Plane<f32>, y: usize) -> (&[f32], &[f32]) {
-    (frame.row(y), frame.row(y + 1))
+/// Computes row `y` of a frame on the reference's grid; leaves pixels outside the frame as they are.
+struct WarpRow<'a> {
+    frame: &'a Plane<f32>,
+    h: &'a Matrix3<f64>,
+    y: usize,
+    row: &'a mut [f32],
 }
 
-/// The value at (`u`, `w`), between the rows of which the first has the index floor(`w`).
+impl Loops for WarpRow<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let WarpRow { frame, h, y, row } = self;
+        let (right, bottom) = (frame.width() as f64 - 1.0, frame.height() as f64 - 1.0);
+        let is_inside = |(u, w): (f64, f64)| u >= 0.0 && w >= 0.0 && u < right && w < bottom;
+        for (start, piece) in row.chunks_mut(PIECE).enumerate().map(|(i, p)| (i * PIECE, p)) {
+            // Over a few pixels a homography is linear to within a ten-thousandth of a pixel.
+            let from = map(h, start as f64, y as f64);
+            let to = map(h, (start + PIECE) as f64, y as f64);
+            let step = ((to.0 - from.0) / PIECE as f64, (to.1 - from.1) / PIECE as f64);
+            let at = |i: usize| (from.0 + step.0 * i as f64, from.1 + step.1 * i as f64);
+            let (first, last) = (at(0), at(piece.len() - 1));
+            let (column, line) = (first.0 as usize, first.1 as usize);
+            let is_one_line = is_inside(first) && is_inside(last) && line == last.1 as usize;
+            if let (true, Ok(piece)) = (is_one_line, <&mut [f32; PIECE]>::try_from(&mut *piece))
+                && last.0 as usize == column + PIECE - 1
+            {
+                // Between the same two rows, and each pixel one column to the right of the one before.
+                let pixels = |y: usize| frame.row(y)[column..].first_chunk::<{ PIECE + 1 }>();
+                let Some((upper, lower)) = pixels(line).zip(pixels(line + 1)) else { continue };
+                for (i, v) in piece.iter_mut().enumerate() {
+                    let (u, w) = at(i);
+                    let (fx, fy) = ((u - (column + i) as f64) as f32, (w - line as f64) as f32);
+                    *v = blend((upper[i], upper[i + 1]), (lower[i], lower[i + 1]), (fx, fy));
+                }
+            } else {
+                for (i, v) in piece.iter_mut().enumerate().filter(|(i, _)| is_inside(at(*i))) {
+                    let (u, w) = at(i);
+                    let (x, y) = (u as usize, w as usize);
+                    let (upper, lower) = (&frame.row(y)[x..x + 2], &frame.row(y + 1)[x..x + 2]);
+                    let fractions = ((u - x as f64) as f32, (w - y as f64) as f32);
+                    *v = blend((upper[0], upper[1]), (lower[0], lower[1]), fractions);
+                }
+            }
+        }
+    }
+}
+
+/// The value at the fractions (`fx`, `fy`) of the way between four pixels: (left, right) of the upper and the lower row.
 #[inline(always)]
-fn bilinear((upper, lower): (&[f32], &[f32]), (u, w): (f64, f64)) -> f32 {
-    let (x, y) = (u as usize, w as usize);
-    let (fx, fy) = ((u - x as f64) as f32, (w - y as f64) as f32);
-    let (upper, lower) = (&upper[x..x + 2], &lower[x..x + 2]);
-    let (top, bottom) = (upper[0] + fx * (upper[1] - upper[0]), lower[0] + fx * (lower[1] - lower[0]));
+fn blend(upper: (f32, f32), lower: (f32, f32), (fx, fy): (f32, f32)) -> f32 {
+    let (top, bottom) = (upper.0 + fx * (upper.1 - upper.0), lower.0 + fx * (lower.1 - lower.0));
     top + fy * (bottom - top)
 }
 
@@ -149,22 +171,14 @@ impl Pattern {
         let mut values = Vec::with_capacity(side * side);
         let mut mask = Vec::with_capacity(side * side);
         for y in top..top + side {
-            for &v in &both.reference.row(y)[left..left + side] {
-                let counts = both.tones.weight(v) >= LEAST_WEIGHT;
-                values.push(if counts { v } else { 0.0 });
-                mask.push(if counts { 1.0 } else { 0.0 });
-            }
+            values.extend_from_slice(&both.reference.row(y)[left..left + side]);
         }
-        let count: f32 = mask.iter().sum();
+        mask.extend(values.iter().map(|&v| if both.tones.weight(v) >= LEAST_WEIGHT { 1.0 } else { 0.0 }));
+        let (count, sum) = vectorised(Count { values: &mut values, mask: &mask });
         if count < LEAST_PIXELS {
             return None;
         }
-        let mean = values.iter().sum::<f32>() / count;
-        let mut energy = 0.0;
-        for (v, m) in values.iter_mut().zip(&mask) {
-            *v -= m * mean;
-            energy += *v * *v;
-        }
+        let energy = vectorised(Centre { values: &mut values, mask: &mask, mean: sum / count });
         let has_contrast = energy >= LEAST_CONTRAST * LEAST_CONTRAST * count;
         has_contrast.then_some(Pattern { left, top, side, values, mask, count, energy })
     }
@@ -176,16 +190,73 @@ impl Pattern {
 
     /// The correlation with the frame shifted by `shift`; NaN outside the frame.
     pub(crate) fn correlation(&self, warped: &Warped, shift: Shift) -> f32 {
-        let (sums, squares, products) = vectorised(Moments { pattern: self, warped, shift });
-        let total = |lanes: [f32; LANES]| lanes.iter().sum::<f32>();
-        let sum = total(sums);
-        let variance = total(squares) - sum * sum / self.count;
+        let [sum, squares, products] = vectorised(Moments { pattern: self, warped, shift });
+        let variance = squares - sum * sum / self.count;
         // The least variance keeps the correlation low where the frame has no structure.
-        if variance.is_nan() {
-            f32::NAN
-        } else {
-            total(products) / (self.energy * variance.max(0.25 * self.count)).sqrt()
+        if variance.is_nan() { f32::NAN } else { products / (self.energy * variance.max(0.25 * self.count)).sqrt() }
+    }
+}
+
+/// Sets the pixels without weight to 0.
+struct Count<'a> {
+    values: &'a mut [f32],
+    mask: &'a [f32],
+}
+
+impl Loops for Count<'_> {
+    /// The number of pixels with weight, and the sum of their grey values.
+    type Output = (f32, f32);
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let (mut counts, mut sums) = ([0.0f32; LANES], [0.0f32; LANES]);
+        let (values, values_rest) = self.values.as_chunks_mut::<LANES>();
+        let (mask, mask_rest) = self.mask.as_chunks::<LANES>();
+        for (v, m) in values.iter_mut().zip(mask) {
+            for i in 0..LANES {
+                v[i] *= m[i];
+                counts[i] += m[i];
+                sums[i] += v[i];
+            }
         }
+        let (mut count, mut sum) = (total(&counts), total(&sums));
+        for (v, m) in values_rest.iter_mut().zip(mask_rest) {
+            *v *= m;
+            count += m;
+            sum += *v;
+        }
+        (count, sum)
+    }
+}
+
+/// Subtracts the mean from the pixels with weight.
+struct Centre<'a> {
+    values: &'a mut [f32],
+    mask: &'a [f32],
+    mean: f32,
+}
+
+impl Loops for Centre<'_> {
+    /// The sum of the squares.
+    type Output = f32;
+
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let mut squares = [0.0f32; LANES];
+        let (values, values_rest) = self.values.as_chunks_mut::<LANES>();
+        let (mask, mask_rest) = self.mask.as_chunks::<LANES>();
+        for (v, m) in values.iter_mut().zip(mask) {
+            for i in 0..LANES {
+                v[i] -= m[i] * self.mean;
+                squares[i] += v[i] * v[i];
+            }
+        }
+        let mut energy = total(&squares);
+        for (v, m) in values_rest.iter_mut().zip(mask_rest) {
+            *v -= m * self.mean;
+            energy += *v * *v;
+        }
+        energy
     }
 }
 
@@ -198,25 +269,24 @@ struct Moments<'a> {
 
 impl Loops for Moments<'_> {
     /// The sums of the frame's grey values, of their squares, and of their products with the pattern.
-    type Output = ([f32; LANES], [f32; LANES], [f32; LANES]);
+    type Output = [f32; 3];
 
     #[inline(always)]
     fn run(self) -> Self::Output {
         let Moments { pattern, warped, shift: (dx, dy) } = self;
         let (mut sums, mut squares, mut products) = ([0.0f32; LANES], [0.0f32; LANES], [0.0f32; LANES]);
+        // The sums of the columns that fill no vector.
+        let mut rest = [0.0f32; 3];
         let margin = warped.reach();
         let left = (pattern.left as isize + margin + dx) as usize;
         let rows = pattern.values.chunks_exact(pattern.side).zip(pattern.mask.chunks_exact(pattern.side));
         for (y, (values, mask)) in rows.enumerate() {
             let frame =
                 &warped.plane.row(((pattern.top + y) as isize + margin + dy) as usize)[left..left + pattern.side];
-            let eights = |r: &[f32]| r.len() / LANES * LANES;
-            let whole = eights(values);
-            for ((v, m), f) in values[..whole]
-                .chunks_exact(LANES)
-                .zip(mask[..whole].chunks_exact(LANES))
-                .zip(frame[..whole].chunks_exact(LANES))
-            {
+            let (v, v_rest) = values.as_chunks::<LANES>();
+            let (m, m_rest) = mask.as_chunks::<LANES>();
+            let (f, f_rest) = frame.as_chunks::<LANES>();
+            for ((v, m), f) in v.iter().zip(m).zip(f) {
                 for i in 0..LANES {
                     let counted = m[i] * f[i];
                     sums[i] += counted;
@@ -224,18 +294,27 @@ impl Loops for Moments<'_> {
                     products[i] += v[i] * f[i];
                 }
             }
-            for ((v, m), f) in values[whole..].iter().zip(&mask[whole..]).zip(&frame[whole..]) {
-                sums[0] += m * f;
-                squares[0] += m * f * f;
-                products[0] += v * f;
+            for ((v, m), f) in v_rest.iter().zip(m_rest).zip(f_rest) {
+                rest[0] += m * f;
+                rest[1] += m * f * f;
+                rest[2] += v * f;
             }
         }
-        (sums, squares, products)
+        [total(&sums) + rest[0], total(&squares) + rest[1], total(&products) + rest[2]]
     }
 }
 
 /// Partial sums that are computed side by side.
 const LANES: usize = 8;
+
+/// Returns the sum of `lanes`.
+///
+/// Not inlined: with the order of these additions in view, the compiler splits the vectors of the loops before them,
+/// which makes them five times slower.
+#[inline(never)]
+fn total(lanes: &[f32; LANES]) -> f32 {
+    lanes.iter().sum()
+}
 
 /// Whole pixels to the right and down.
 pub(crate) type Shift = (isize, isize);

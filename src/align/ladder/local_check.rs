@@ -1,7 +1,9 @@
 //! The local check: how much of the picture the transform of a frame does not fit.
 //!
-//! In: the placements of all frames. Out: the same, with the share of the picture that is displaced, and the error and
-//! confidence that follow. Cost: that of a [`LocalField`] for each frame.
+//! In: the placements of all frames. Out: the same, with the share of the picture that is displaced, the error and
+//! confidence that follow, and with `auto` the transform of the dominant motion where it fits more of the picture.
+//! Cost: that of a [`LocalField`] for each frame. The planes of a frame are made again, unless it was settled by the
+//! bitmaps and is checked at once.
 
 use crate::align::AlignMode;
 use crate::align::ladder::Search;
@@ -12,12 +14,25 @@ use crate::align::result::{Estimate, Placement};
 use crate::align::transform::Model;
 use crate::plane::map_at_once;
 
+/// The local check of a frame.
+pub(crate) struct LocalCheck {
+    before: Estimate,
+    after: Estimate,
+}
+
 impl Search<'_> {
     /// Checks the transforms of all placed frames that were estimated.
     pub(super) fn check_locally(&self, placements: &mut [Placement]) {
         let checked = map_at_once(placements.len(), self.compared_at_once, |i| match &placements[i] {
             Placement::Placed(estimate) if self.given[i].is_none() && estimate.error_px.is_some() => {
-                Some(Placement::Placed(self.checked_locally(i, estimate)))
+                let known = self.checks[i].get().filter(|check| check.before == *estimate);
+                Some(Placement::Placed(known.map_or_else(
+                    || {
+                        let pair = FramePair::new(self.reference_pyramid(), &self.pyramids[i], &estimate.transform);
+                        self.checked_locally(&pair, estimate)
+                    },
+                    |check| check.after.clone(),
+                )))
             }
             _ => None,
         });
@@ -28,11 +43,16 @@ impl Search<'_> {
         }
     }
 
-    /// The estimate with what the local displacements add to its error; in [`AlignMode::Auto`] with the transform of the
-    /// dominant motion, if the frame moved.
-    fn checked_locally(&self, i: usize, estimate: &Estimate) -> Estimate {
-        let pair = FramePair::new(self.reference_pyramid(), &self.pyramids[i], &estimate.transform);
-        let field = LocalField::new(&pair, &estimate.transform);
+    /// Checks frame `i`, whose `pair` is in memory, before all frames are placed.
+    pub(super) fn keep_local_check(&self, i: usize, pair: &FramePair, estimate: &Estimate) {
+        self.checks[i]
+            .get_or_init(|| LocalCheck { before: estimate.clone(), after: self.checked_locally(pair, estimate) });
+    }
+
+    /// The estimate with what the local displacements add to its error; in [`AlignMode::Auto`] with the transform of
+    /// the dominant motion, if the frame moved.
+    fn checked_locally(&self, pair: &FramePair, estimate: &Estimate) -> Estimate {
+        let field = LocalField::new(pair, &estimate.transform);
         // A frame of a tripod is not resampled because things moved.
         let is_moved = estimate.model != Model::Unmoved;
         let dominant = if self.options.mode == AlignMode::Auto && is_moved { field.dominant() } else { None };

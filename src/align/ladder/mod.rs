@@ -4,11 +4,12 @@
 //! that the bitmaps settle; several times as much for a difficult one.
 //!
 //! A frame is aligned to the reference by bitmaps (`starts`), refined and checked (`candidate`). If that does not
-//! settle it, it is also aligned to its nearest aligned neighbour in exposure, by features, from the other minima of the
-//! bitmap search, and by shifts by a period of a reference that repeats itself (`doubtful`). `selection` chooses among the candidates, and `reduction` the smallest sufficient
-//! model. The transform of a frame with too little detail is inferred from the other frames (`inferred`,
-//! `camera_track`). At last, `local_check` measures what no single transform can fit, and replaces a compromise between
-//! several motions by the dominant one.
+//! settle it, it is also aligned to its nearest aligned neighbour in exposure, by features, from the other minima of
+//! the bitmap search, and by shifts by a period of a reference that repeats itself (`doubtful`). `selection` chooses
+//! among the candidates, and `reduction` the smallest sufficient model. The transform of a frame with too little
+//! detail is inferred from the other frames (`inferred`, `camera_track`). At last, `local_check` measures what no
+//! single transform can fit, and replaces a compromise between several motions by the dominant one; this homography
+//! is neither refined on the pixels nor checked by tiles.
 
 mod camera_track;
 mod candidate;
@@ -29,6 +30,7 @@ use crate::align::features::FeatureSets;
 use crate::align::grey::{COARSEST, Content, GreyPyramid, content_and_pyramid, measured_level};
 use crate::align::ladder::camera_track::capture_times;
 use crate::align::ladder::candidate::{Candidate, evaluate};
+use crate::align::ladder::local_check::LocalCheck;
 use crate::align::ladder::reduction::reduce;
 use crate::align::ladder::selection::{estimate, rejected, rejection_reason};
 use crate::align::ladder::starts::by_bitmaps;
@@ -59,6 +61,8 @@ pub(crate) struct Search<'a> {
     /// The placement of each frame for which one is preset.
     pub(crate) given: &'a [Option<Found>],
     pub(crate) options: &'a AlignOptions,
+    /// The local check of each frame that was settled, made while its planes were in memory.
+    pub(crate) checks: Vec<OnceLock<LocalCheck>>,
 }
 
 /// The placements of all frames, and their numbers of keypoints and inliers.
@@ -161,8 +165,9 @@ impl Search<'_> {
         let (pair, candidate) = by_bitmaps(self.reference_pyramid(), &self.pyramids[i], &self.options.mtb);
         match candidate {
             Some(c) if c.is_settled() && !repeats => {
-                let placement = Placement::Placed(estimate(&reduce(&pair, c)));
-                FirstResult::Settled((placement, FeatureCounts::default()))
+                let estimate = estimate(&reduce(&pair, c));
+                self.keep_local_check(i, &pair, &estimate);
+                FirstResult::Settled((Placement::Placed(estimate), FeatureCounts::default()))
             }
             other => FirstResult::Doubtful(other),
         }
@@ -281,6 +286,7 @@ pub(crate) fn search(
         reference: bracket.reference_index(),
         given,
         options,
+        checks: (0..pyramids.len()).map(|_| OnceLock::new()).collect(),
     };
     let (mut placements, counts) = find(&search);
     search.check_locally(&mut placements);

@@ -49,12 +49,12 @@ const SUSPICIOUS: f64 = 0.01;
 struct Neighbourhood {
     /// Patches to each side.
     radius: usize,
-    /// Number of patches that each pixel is in.
+    /// Number of patches that each pixel is in; 0.5 if every second patch is matched.
     overlap: f64,
 }
 
 /// The neighbourhoods of [`matching::near`] and [`matching::far`]: 48 pixels wide, as narrow as twigs and railings allow.
-const NEAR: Neighbourhood = Neighbourhood { radius: 1, overlap: 1.0 };
+const NEAR: Neighbourhood = Neighbourhood { radius: 1, overlap: 0.5 };
 const FAR: Neighbourhood = Neighbourhood { radius: 2, overlap: 4.0 };
 
 /// The displacements of the cells of a picture from a transform.
@@ -148,7 +148,7 @@ impl LocalField {
             if self.still as f64 <= MOST_STILL * (self.cells.len() + self.still) as f64 { 0 } else { self.still };
         let all = (self.cells.len() + still) as f64;
         let fraction = (displaced.len() + still) as f64 / all;
-        let independent = (all / self.overlap).max(1.0);
+        let independent = (all / self.overlap.max(1.0)).max(1.0);
         let most_px = if fraction < LEAST_DISPLACED { DISPLACED_PX } else { f64::INFINITY };
         let squares = lengths.iter().filter(|&&px| px < most_px).map(|px| px * px).sum::<f64>();
         let bias_px = self.scale() * PEAK_BIAS;
@@ -222,7 +222,7 @@ fn smoothed(matches: &Matches, neighbourhood: Neighbourhood) -> Vec<Cell> {
         Some(Cell {
             centre: matches.centre(i),
             displacement: sums[i].peak(),
-            precision: precision(sums[i].sharpness, agreeing.max(1) as f64, overlap * variance),
+            precision: precision(sums[i].sharpness, agreeing.max(1) as f64, overlap.max(1.0) * variance),
             agrees: agreeing as f64 >= LEAST_AGREEING * all as f64,
         })
     };

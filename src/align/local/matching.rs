@@ -65,15 +65,15 @@ pub(super) struct Matches {
     pub(super) rows: usize,
     /// Distance of the patches, in pixels.
     step: usize,
-    /// By rows; none where a patch has too little contrast or is outside the frame.
+    /// By rows; none where a patch is left out, has too little contrast, or is outside the frame.
     pub(super) all: Vec<Option<Match>>,
 }
 
-/// Matches all patches of the level on which agreement is measured, near the position that `h` gives, which is in pixels
-/// of that level.
+/// Matches every second patch of the level on which agreement is measured, as on a chessboard, near the position that
+/// `h` gives, which is in pixels of that level.
 pub(super) fn near(pair: &FramePair, h: &Matrix3<f64>) -> Matches {
     let level = measured_level(pair.reference());
-    let grid = Grid { level, step: STEPS.0, reach: COARSEST_REACH as usize };
+    let grid = Grid { level, step: STEPS.0, reach: COARSEST_REACH as usize, every: 2 };
     Matches::none().finer(pair, h, grid, &[])
 }
 
@@ -89,17 +89,21 @@ pub(super) fn far(pair: &FramePair, h: &Matrix3<f64>) -> Matches {
     let mut found = Matches::none();
     for level in (measured..=coarsest).rev() {
         let starts = if level == coarsest { &RIM[..] } else { &[] };
-        let grid = Grid { level, step: STEPS.1, reach: reach(level).ceil() as usize + 1 };
+        let grid = Grid { level, step: STEPS.1, reach: reach(level).ceil() as usize + 1, every: 1 };
         found = found.finer(pair, &on_level(h, level - measured), grid, starts);
     }
     found
 }
 
-/// The patches of a level: their distance, and how far they are searched, in pixels.
+/// The patches of a level. All lengths are in its pixels.
 struct Grid {
     level: usize,
+    /// Distance of the patches.
     step: usize,
+    /// How far they are searched.
     reach: usize,
+    /// Every such patch of a row is matched; the others are left out.
+    every: usize,
 }
 
 impl Matches {
@@ -114,7 +118,7 @@ impl Matches {
 
     /// The matches of `grid`, searched from (0, 0), from those of the next coarser level, and from `starts`.
     fn finer(&self, pair: &FramePair, h: &Matrix3<f64>, grid: Grid, starts: &[Shift]) -> Self {
-        let Grid { level, step, reach } = grid;
+        let Grid { level, step, reach, every } = grid;
         let both = pair.level(level);
         let (width, height) = (both.reference.width(), both.reference.height());
         let count = |length: usize| (length + step).saturating_sub(SIDE) / step;
@@ -125,6 +129,9 @@ impl Matches {
         let back = h.try_inverse().unwrap_or_else(Matrix3::identity);
         let find = |i: usize| {
             let (column, row) = (i % columns, i / columns);
+            if (column + row) % every != 0 {
+                return None;
+            }
             let pattern = Pattern::new(both, column * step, row * step, SIDE)?;
             let mut correlations = Correlations { pattern: &pattern, warped: &warped, known: Vec::with_capacity(64) };
             let (best, shift) = correlations.search(self.candidates(column, row).iter().chain(starts))?;
@@ -177,8 +184,8 @@ impl Matches {
     }
 }
 
-/// Whether a match with the correlation `other` is significantly better than one with the correlation `best`: patterns that
-/// repeat match nearly as well elsewhere.
+/// Whether a match with the correlation `other` is significantly better than one with the correlation `best`: patterns
+/// that repeat match nearly as well elsewhere.
 fn is_better(other: f32, best: f32) -> bool {
     let unexplained = |c: f32| 1.0 - c.max(0.0) * c.max(0.0) + UNEXPLAINED;
     other >= LEAST_CORRELATION && unexplained(other) < CLEARLY * unexplained(best)
