@@ -144,7 +144,8 @@ pub struct MergeReport {
     /// The range in stops from the darkest radiance in the picture that is above the noise to the brightest that is not
     /// clipped. Null for locally processed frames.
     pub range_stops: Option<f64>,
-    /// The radiances between noise and clipping, in the unit of the radiance. Null for locally processed frames.
+    /// The radiances at which noise and clipping begin to limit the result, in the unit of the radiance. Null for
+    /// locally processed frames.
     pub limits: Option<Limits>,
     /// Statistics of the luminance.
     pub radiance: Statistics,

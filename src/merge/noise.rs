@@ -55,8 +55,8 @@ impl Noise {
         Ok(Noise { steps: shown(frame, LEAST)?, error: if moved { ERROR.1 } else { ERROR.0 } })
     }
 
-    /// Measures the noise of a 16-bit `frame`. The minimum is [`LEAST`] of a 16-bit code value, because the frame is not
-    /// from JPEG.
+    /// Measures the noise of a 16-bit `frame`. The minimum is [`LEAST`] in units of 16-bit code values, because the
+    /// frame is not from JPEG.
     ///
     /// # Errors
     /// Those of [`of`](Self::of).

@@ -95,7 +95,7 @@ impl Weight {
     }
 }
 
-/// `weight`, clamped to a range that f32 holds for responses in any unit.
+/// Clamps `weight` to a range that fits into an `f32`, for responses in any unit.
 fn within(weight: f64) -> f64 {
     weight.clamp(1e-30, 1e30)
 }

@@ -20,7 +20,7 @@
 //! - The change of ln I in a sweep is smoothed over the codes (Whittaker 1923). The sums have no unique minimum,
 //!   because nothing relates a code to its neighbours; without smoothing the sweeps converge to noise.
 //! - The sweeps start from the sRGB curve instead of a line, and end when they reduce the objective by less than a
-//!   thousandth, so that whatever the frames do not determine keeps its value.
+//!   thousandth, so that whatever the frames do not determine stays as in the sRGB curve.
 
 use super::fit::{self, Fitted, Found, between};
 use super::samples::{Sample, View};

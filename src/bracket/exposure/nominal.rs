@@ -8,7 +8,7 @@
 //!
 //! Measured or computed values must not be changed: phones write 1/33 s, 16666667/1000000000 s, f/1.79. So all times of
 //! the bracket must be nominal and on one series (thirds or halves of a stop), and either f-numbers and sensitivities
-//! must be so too, or ShutterSpeedValue confirms the exact times.
+//! must be nominal too, or ShutterSpeedValue must confirm the exact times.
 
 use super::{ExposureTags, Tagged};
 
@@ -164,7 +164,7 @@ mod tests {
         for (n, ..) in OTHER_THIRDS {
             assert!(near(thirds_of_time(n), n, 0.06), "{n}");
         }
-        // The marking 0.3 stands for half a stop below 0.5 s, which is 0.354 s: 18 % more.
+        // The marking 0.3 stands for half a stop below 0.5 s, which is 0.354 s: 18 % more than 0.3 s.
         for (n, ..) in OTHER_HALVES {
             assert!(near(halves_of_time(n), n, 0.19), "{n}");
         }

@@ -11,7 +11,7 @@
 //! without black parts and without flare has such a minimum too, but then the dark parts do not depend on the strength
 //! of the flare. Therefore the cells are sorted into 24 bins by that strength, and flare is found if in at least 6
 //! bins, over a range of a stop, the darkest cells come close to the same share, and the share is typical of lenses. k
-//! is the exponent for which this is so in most bins.
+//! is the exponent with the most bins of this kind.
 
 use crate::merge::radiance::statistics::{BT709, luminance};
 use crate::merge::{FLOOR, RadianceMap};
@@ -357,8 +357,9 @@ mod tests {
         let fast = spectrum.times(&spread(2.5)).values((60, 41));
         let most = slow.as_slice().iter().fold(0.0, |a: f64, v| a.max(v[1]));
         for (a, b) in fast.as_slice().iter().zip(slow.as_slice()) {
-            // The transforms round 36 times, in sums below that of all values: 1e-10 of the largest value is far above
-            // the precision of `f64`.
+            // The transforms round 36 times: in 9 steps for each of 2 axes, forward and back. They round sums that are
+            // smaller than the sum of all values, so a tolerance of 1e-10 of the largest value is far above the
+            // rounding errors of `f64`.
             assert!((a - b[1]).abs() < 1e-10 * most, "{a} for {}", b[1]);
         }
     }

@@ -13,7 +13,8 @@ pub struct Photographed {
     /// Radiance at the middle code value of the longest exposure, which shows the shadows.
     pub longest: f64,
     /// Radiance at the middle code value of the shortest exposure, which shows the highlights. For locally processed
-    /// frames, at that of an exposure which would show the expanded highlights as bright as the shortest frame does.
+    /// frames: radiance at the middle code value of an exposure that would show the expanded highlights as bright as
+    /// they are in the shortest frame.
     pub shortest: f64,
     /// Displayed contrast below the middle code value, in stops per stop of the scene: 1 to 1.85. Cameras increase
     /// contrast, and with it saturation.

@@ -101,9 +101,9 @@ mod tests {
         [libm::exp2(x as f64 / 20.0 - 9.0); 3]
     }
 
-    /// By hand, for sRGB: code value 250 has 0.956 of the light of white, and code value 6 has 6 / 255 / 12.92 of it,
-    /// 9.04 stops less. The floor is found in steps of a sixteenth of a stop. Every stop between the shortest and the
-    /// longest exposure adds one.
+    /// By hand, for sRGB: code value 250 has 0.956 of the light of white, and code value 6 has 6 / 255 / 12.92 of the
+    /// light of white, which is 9.04 stops less. The floor is found in steps of a sixteenth of a stop. Every stop
+    /// between the shortest and the longest exposure adds one.
     #[test]
     fn range_is_that_of_a_frame_and_the_span_of_the_exposures() {
         let curve = ResponseCurve::srgb();

@@ -82,8 +82,8 @@ impl Loss {
     /// Returns a warning about the accuracy lost by writing the file `path`, if there is any.
     ///
     /// # Errors
-    /// [`Error::ResponseFormat`] if half a stop is lost, which is also the largest contradiction between a curve and
-    /// the frames.
+    /// [`Error::ResponseFile`] if more than half a stop is lost, which is also the largest contradiction between a
+    /// curve and the frames.
     pub fn warning(&self, path: &Path) -> Result<Option<Warning>> {
         let [red, green, blue] = self.channel_stops;
         let off = format!(

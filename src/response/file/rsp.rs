@@ -176,8 +176,8 @@ fn evaluate(coefficients: &[f64], x: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Returns the root mean square over codes 10..=245 of the difference between two curves after one shift for all
-    /// channels, in stops.
+    /// Returns the root mean square difference of two curves in stops, over codes 10..=245 of all channels, after one
+    /// curve is shifted by the constant that makes the difference smallest.
     fn difference(a: &ResponseCurve, b: &ResponseCurve) -> f64 {
         let d: Vec<f64> = (0..3)
             .flat_map(|c| JUDGED.map(move |z| (c, z)))
