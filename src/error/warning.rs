@@ -125,7 +125,7 @@ pub enum Warning {
     },
     /// The exposure of a frame differs from the pixels by more than the largest correction.
     #[error(
-        "{}: according to the pixels, the exposure should be corrected by {wanted_stops:+.2} stops, but the largest correction, {used_stops:+.2}, was used; give -e to set it",
+        "{}: according to the pixels, the exposure should be corrected by {wanted_stops:+.2} stops; it was corrected by only {used_stops:+.2} stops, which is the limit; to set the exposures, give -e",
         path.display()
     )]
     ExposureBounded {

@@ -211,7 +211,9 @@ impl Pairs {
         let power = if refined { both / given } else { 1.0 };
         if !POWER.contains(&power) {
             return Err(format!(
-                "the estimated exposures are the given exposures raised to the power {power:.2}; this exponent is too far from 1"
+                "the exposure steps estimated from the pixels are {power:.2} times the given steps (in stops), which is outside of {} to {}",
+                POWER.start(),
+                POWER.end()
             ));
         }
         let error = error / power;

@@ -99,11 +99,11 @@ fn contradicted_response(
     let warning = |(found, own)| {
         let detail = match is_local {
             true => format!(
-                "the frames are locally processed: they contradict this response by {found:.2} stops, and no other response fits them"
+                "does not fit the frames (error {found:.2} stops), and no other response does, because the frames are locally processed"
             ),
             false => {
                 format!(
-                    "the frames contradict this response by {found:.2} stops, but they contradict a response recovered from them by only {own:.2} stops"
+                    "does not fit the frames (error {found:.2} stops); a response recovered from the frames fits better (error {own:.2} stops)"
                 )
             }
         };

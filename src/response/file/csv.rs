@@ -63,7 +63,7 @@ pub(crate) fn read(text: &str) -> Result<ResponseCurve, String> {
         _ => {
             let columns: Vec<String> = curves.iter().map(|m| m.columns.to_string()).collect();
             return Err(format!(
-                "it has matrices of {} columns; supported are one of 7 (luminance-hdr) and three of 3 (pfstools)",
+                "its matrices have {} columns; one matrix with 7 columns (luminance-hdr) or three matrices with 3 columns (pfstools) are supported",
                 columns.join(", ")
             ));
         }
