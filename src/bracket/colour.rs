@@ -359,7 +359,7 @@ mod tests {
 
     /// Files store chromaticities as `f32`: primaries that are read back must give a bit-identical conversion.
     #[test]
-    fn rounding_in_a_transforms_file_does_not_matter() {
+    fn primaries_rounded_to_32_bit_floats_are_recognised() {
         let float = |xy: [f64; 2]| xy.map(|v| f64::from(v as f32));
         for p in Space::iter().map(Space::primaries) {
             let read =

@@ -173,11 +173,11 @@ pub enum Warning {
         paths: Vec<PathBuf>,
     },
     /// The response file is of another camera than the photographs, or does not fit them.
-    #[error("{}: {detail}; recover the response of the photographs with `hdralign response`, or omit --response", path.display())]
+    #[error("{}: {detail}", path.display())]
     ResponseDoubtful {
         /// The response file.
         path: PathBuf,
-        /// Why the response may not be valid for the photographs.
+        /// Why the response may not be valid for the photographs, and what to do.
         detail: String,
     },
     /// Brackets of one response are from different cameras.

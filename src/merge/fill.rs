@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn displaced_frame_does_not_reduce_known_confidence() {
+    fn displaced_assumed_frame_changes_only_clipped_places() {
         // A lamp, which frame 0 shows ten pixels to the right.
         let lamp = |at: usize, x: usize| if x.abs_diff(at) <= 20 { [200.0; 3] } else { [0.02; 3] };
         let (bracket, mut alignment) = bracket(|x, _| lamp(150, x));

@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn measured_estimates_are_sufficient() {
+    fn measured_or_mixed_values_have_no_exact_steps() {
         assert_eq!(times(&[1.0 / 33.0, 1.0 / 60.0]), None);
         assert_eq!(times(&[1.0 / 1243.0, 1.0 / 60.0]), None);
         // 1/45 is only in the series of halves, and 1/40 only in that of thirds.
@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn shutter_speed_is_used_without_f_number() {
+    fn shutter_speed_confirms_exact_times_if_the_f_number_is_no_step() {
         let with = |time, shutter_speed| ExposureTags { shutter_speed: Some(shutter_speed), ..frame(time, 4.9, 100.0) };
         let exact_tags = exact(&[with(1.0 / 30.0, 5.0), with(1.0 / 125.0, 7.0)]).unwrap();
         assert_eq!((exact_tags[0].time_s.unwrap().0, exact_tags[0].f_number.unwrap().0), (1.0 / 32.0, 4.9));

@@ -203,7 +203,7 @@ fn a_missing_f_number_is_assumed_with_a_warning() {
 }
 
 #[test]
-fn single_photographs_are_rejected() {
+fn invalid_list_of_files_is_an_error_that_names_the_fault() {
     let files = Files::new();
     let a = files.add("a.jpg", &shot(0.0, &[time(1, 100)]));
     let text = files.add("text.jpg", b"This is not a picture.\n");

@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn hysteresis_keeps_only_values_beyond_reach() {
+    fn weight_is_zero_around_moved_cells_and_rises_beyond() {
         let mut plane = Plane::filled(40, 30, false);
         plane.row_mut(15)[20] = true;
         let kept = kept(&plane, 2, 2);

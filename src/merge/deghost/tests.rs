@@ -368,7 +368,7 @@ fn of_large_cells_a_quarter_is_looked_at() {
 }
 
 #[test]
-fn white_balance_is_parsed_and_printed_as_typed() {
+fn strength_is_parsed_and_printed_as_typed() {
     for (text, expected) in [("auto", Deghost::Auto), ("off", Deghost::Off), ("0.25", Deghost::Strength(0.25))] {
         assert_eq!((text.parse(), expected.to_string().as_str()), (Ok(expected), text));
     }

@@ -101,7 +101,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn json_is_read_back_exactly() {
+    fn comment_is_read_back_exactly_and_an_invalid_one_is_ignored() {
         let curve = ResponseCurve::srgb();
         let some = Photographed::of([0.3, 1.0 / 3.0, 7.0].into_iter(), 1.0 / 3.0, &curve).unwrap().times(0.1);
         assert_eq!((some.longest, some.shortest), (1.0 / 3.0 / 7.0 * 0.1, 1.0 / 3.0 / 0.3 * 0.1));

@@ -35,7 +35,7 @@ pub(crate) fn miniature(
 /// Writes the curve `saved`, which was recovered from brackets with these `miniatures`, to the file `path`.
 ///
 /// # Errors
-/// Those of [`SavedResponse::encode`] and of writing; [`Error::ResponseFile`](crate::error::Error::ResponseFile) if
+/// Those of [`SavedResponse::encode`] and of writing; [`Error::ResponseFormat`](crate::error::Error::ResponseFormat) if
 /// radiance merged with this file would not be even roughly right.
 pub(crate) fn written(saved: &SavedResponse, path: &Path, miniatures: &[&Miniature]) -> Result<Written> {
     let encoded = saved.encode(path)?;
