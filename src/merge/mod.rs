@@ -101,8 +101,8 @@ pub struct Merged {
     /// Number of pixels with all channels at code value 0 even in the longest exposure that covers them: their radiance
     /// is an upper bound.
     pub all_black: usize,
-    /// The relative exposure of the reference frame, t * ISO / N^2 in s. Radiance divided by it is comparable between
-    /// brackets.
+    /// The relative exposure of the reference frame, t * ISO / N^2 in s, or 2^EV if EV was given. Radiance divided by
+    /// it is comparable between brackets.
     pub reference_exposure: f64,
 }
 

@@ -32,6 +32,8 @@ pub struct Args {
     aligned: Aligned,
 
     /// Set the folder for the files; it is created if it does not exist [default: FIRST-LAST.inspect beside the photographs]
+    ///
+    /// The folder that contains it must exist
     #[arg(short = 'd', long, help_heading = OUTPUT, value_name = "FOLDER")]
     folder: Option<PathBuf>,
 

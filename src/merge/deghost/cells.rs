@@ -1,7 +1,8 @@
 //! Cells: the radiance of a frame on a coarse grid of the reference frame.
 //!
 //! In: a frame, its transform and the response. Out: the mean radiance of each cell and channel, and whether it is only
-//! a bound. Cost: one bilinear sample, which reads four pixels, for every block of 2 x 2 pixels.
+//! a bound. Cost: one bilinear sample, which reads four pixels, for every block of 2 x 2 pixels, but at most four for
+//! each cell.
 //!
 //! Means are of exposures, not of code values: the mean code value of an edge stands for a different exposure in every
 //! frame. In a cell with a clipped code value the mean is a lower bound, with a black one an upper bound.
