@@ -154,8 +154,9 @@ pub enum Progress {
     Decoded(usize),
 }
 
-/// Callback that receives the progress, from any thread. If it returns `Break`, the run is cancelled before the next
-/// stage with [`Error::Cancelled`] and writes no file.
+/// Callback that receives the progress, from any thread. If it returns `Break` for [`Progress::Begins`], the run is
+/// cancelled before that stage with [`Error::Cancelled`] and writes no file; the answer to [`Progress::Decoded`] is
+/// ignored.
 pub type Watch<'a> = &'a (dyn Fn(Progress) -> ControlFlow<()> + Sync);
 
 /// A [`Watch`] that ignores the progress and never cancels.

@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn half_resolution_is_at_least_the_requested_size() {
+    fn halves_are_at_least_of_the_requested_size() {
         let sizes =
             |w, h| halves(Plane::filled(w, h, 0u8), 32).iter().map(|p| p.height().min(p.width())).collect::<Vec<_>>();
         assert_eq!(sizes(300, 256), [256, 128, 64, 32]);

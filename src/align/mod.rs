@@ -18,8 +18,9 @@
 //!
 //! The mode `auto` goes from the cheapest method to the most expensive and stops as soon as the tiles of the picture
 //! agree: bitmaps, refined on the pixels; the same against a neighbour in exposure; features; the other minima of the
-//! bitmap search. Every estimate is refined and then checked by [`agreement`], except those inferred from other frames
-//! ([assumed](Placement::Assumed)).
+//! bitmap search. Every estimate is refined and then checked by [`agreement`]. Exceptions: transforms inferred from
+//! other frames ([assumed](Placement::Assumed)), frames that are left unmoved, and the dominant motion, which is fitted
+//! to the displacements of the parts afterwards.
 
 #[doc(hidden)]
 pub mod agreement;
@@ -64,15 +65,15 @@ pub use transform::{Model, Transform};
 #[serde(rename_all = "kebab-case")]
 #[strum(serialize_all = "kebab-case")]
 pub enum AlignMode {
-    /// First median threshold bitmaps, which are fast, and refinement on the pixels; features only if necessary. Every
-    /// result is checked.
+    /// Tries a fast method first (median threshold bitmaps, then refinement on the pixels), and image features only if
+    /// necessary. Every result is checked, except transforms that are assumed from other frames.
     #[default]
     Auto,
     /// Median threshold bitmaps only: shift and rotation.
     Mtb,
     /// SIFT features only: a homography, which also corrects tilt.
     Sift,
-    /// SURF features only, for a homography. About twice as many keypoints as SIFT.
+    /// SURF features only, for a homography. It finds about twice as many matching details as SIFT.
     Surf,
     /// No alignment.
     None,

@@ -5,8 +5,8 @@
 //!
 //! ```json
 //! { "schema": "hdralign-transforms/1", "width_px": 4000, "height_px": 3000, "reference": "IMG_2.jpg", "frames": [
-//!   { "file": "IMG_1.jpg", "status": "aligned", "model": "shift", "homography": [1.0, 0.0, 3.25, ...], "error_px": 0.02,
-//!     "confidence": 0.98, "inliers": null, "keypoints": null, "reason": null } ] }
+//!   { "file": "IMG_1.jpg", "status": "aligned", "model": "shift", "homography": [1.0, 0.0, 3.25, ...],
+//!     "error_px": 0.02, "confidence": 0.98, "inliers": null, "keypoints": null, "reason": null } ] }
 //! ```
 //!
 //! `homography` holds nine numbers by rows, reference pixel -> frame pixel, (0, 0) the centre of the top-left pixel;
@@ -202,7 +202,10 @@ fn found(frame: FrameDocument, size: (usize, usize)) -> std::result::Result<Foun
         let by_default = if by == RejectedBy::Alignment { 0.0 } else { 1.0 };
         Placement::Rejected { by, confidence: frame.confidence.unwrap_or(by_default), reason: frame.reason }
     } else {
-        let homography = frame.homography.ok_or("it is merged according to its status, but has no homography; add nine numbers, or set the status to rejected")?;
+        let homography = frame.homography.ok_or(
+            "its status means that it is merged, but it has no homography; add its nine numbers, or set its status to \
+             rejected",
+        )?;
         let h = Matrix3::from_row_slice(&homography);
         let transform = match frame.status {
             Status::Unmoved | Status::Assumed if h == Matrix3::identity() => Transform::Identity,
@@ -276,7 +279,7 @@ mod tests {
             (json.replace("\"confidence\": 0.75", "\"confidence\": 1.5"), "a.jpg: its confidence"),
             (
                 json.replace("\"status\": \"rejected\"", "\"status\": \"unmoved\""),
-                "d.jpg: it is merged according to its status, but has no",
+                "d.jpg: its status means that it is merged, but it has no homography",
             ),
             (json.replace("\"width_px\": 400,", ""), "width_px"),
         ] {

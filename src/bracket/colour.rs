@@ -68,8 +68,8 @@ impl Primaries {
         self.all().iter().all(|v| *v >= 0.0)
     }
 
-    /// Whether no coordinate differs by more than `tolerance`; a tolerance of 0.005 covers the rounding of profiles and
-    /// is not visible.
+    /// Whether no coordinate differs from that of `other` by more than `tolerance`; a tolerance of 0.005 covers the
+    /// rounding of profiles and is not visible.
     pub fn is_close(&self, other: &Primaries, tolerance: f64) -> bool {
         self.all().iter().zip(other.all()).all(|(a, b)| (a - b).abs() <= tolerance)
     }
@@ -174,7 +174,7 @@ pub struct Conversion([[f32; 3]; 3]);
 
 impl Conversion {
     /// Returns the conversion from linear RGB of `from` to linear RGB of `to`. White is mapped to white, by Bradford's
-    /// transform where the two whites differ. `None` where the primaries of one of the two span no colour space.
+    /// transform where the two whites differ. `None` where `from` or `to` spans no colour space.
     pub fn between(from: &Primaries, to: &Primaries) -> Option<Self> {
         let matrix = to.to_xyz()?.try_inverse()? * adaptation(from.white, to.white)? * from.to_xyz()?;
         Self::of(matrix)
@@ -215,8 +215,8 @@ pub struct NeutralXyz {
     to_xyz: Conversion,
     to_rgb: Conversion,
     weights: [f32; 3],
-    /// Least and greatest ratio of the luminance after the adaptation to the equal-energy white to the luminance before
-    /// it, of all colours within the primaries.
+    /// Least and greatest ratio Y' / Y of all colours within the primaries, where Y is the luminance of a colour, and
+    /// Y' its luminance after the adaptation to the equal-energy white.
     keeps: [f32; 2],
 }
 
@@ -251,7 +251,7 @@ impl NeutralXyz {
         if keep.is_finite() && keep > 0.0 { [xyz[0] * keep, y, xyz[2] * keep].map(|v| v.max(0.0)) } else { [0.0; 3] }
     }
 
-    /// Converts `xyz` to RGB of the luminance Y; components may be below 0.
+    /// Converts `xyz` to RGB whose luminance is the Y of `xyz`; components may be below 0.
     ///
     /// Far outside of the visible chromaticities, the ratio of the luminances under the two whites has no bound. So it
     /// is clamped to the range of the colours within the primaries, and the rest of the luminance is added as grey:
@@ -342,8 +342,8 @@ mod tests {
         }
     }
 
-    /// With an unbounded ratio, the first colour would become RGB (18616, -6821, 2): its luminance is 0.8 under one
-    /// white and about 0 under the other.
+    /// If the ratio of the luminances under the two whites were not clamped, XYZ (21, 0.8, 1.1) would become RGB
+    /// (18616, -6821, 2): its luminance is 0.8 under one white and about 0 under the other.
     #[test]
     fn impossible_colours_keep_their_luminance_in_xyz() {
         let (neutral, weights) = (NeutralXyz::of(&Primaries::BT2020), Primaries::BT2020.luminance());
@@ -359,7 +359,7 @@ mod tests {
 
     /// Files store chromaticities as `f32`: primaries that are read back must give a bit-identical conversion.
     #[test]
-    fn rounding_in_a_transforms_file_does_not_matter() {
+    fn primaries_rounded_to_32_bit_floats_are_recognised() {
         let float = |xy: [f64; 2]| xy.map(|v| f64::from(v as f32));
         for p in Space::iter().map(Space::primaries) {
             let read =

@@ -34,7 +34,7 @@ pub(super) struct Decoded {
     pub decoding: u64,
     /// Its EXIF, if any.
     pub exif: Option<Exif>,
-    /// The ICC profile of the file or of its colour chunks, not yet parsed.
+    /// The ICC profile of the file, or one made from the colour chunks of a PNG; not yet parsed.
     pub icc: Option<Vec<u8>>,
     /// Whether the file has an alpha channel, which is dropped.
     pub has_alpha: bool,

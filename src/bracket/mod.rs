@@ -244,7 +244,7 @@ struct OnDisk {
     budget: Budget,
 }
 
-/// Frames of one size by rising relative exposure, then by path, and the reference frame.
+/// Frames of one size, sorted by rising relative exposure, then by path, and the index of the reference frame.
 #[derive(Debug, Clone)]
 pub struct Bracket {
     frames: Vec<Frame>,

@@ -32,7 +32,7 @@ impl Store {
         Ok(())
     }
 
-    /// Size in bytes that the pixel values have in memory, also while they are on disk.
+    /// Size in bytes of the pixel values in memory; if they are on disk, the size that they would have in memory.
     pub fn bytes(&self) -> u64 {
         self.len() as u64 * if self.max() == u16::from(u8::MAX) { 1 } else { 2 }
     }

@@ -66,7 +66,7 @@ Exit codes:
   0  done
   1  failed, nothing written
   2  wrong usage
-  3  with --strict: written, but degraded; `hdralign merge --help` lists the reasons at --strict
+  3  written, but degraded; only with --strict, which `hdralign merge --help` explains
   compare: 0 same, 1 different, 2 error
   batch: 0 all brackets done, 1 none done, 3 some failed, or a file could not be read or written
          (with --strict also: a result is degraded)

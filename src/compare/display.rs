@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn codes_psnr_and_signs_are_with_identity() {
+    fn differences_are_those_by_hand_and_none_for_equal_pictures() {
         let a = eight(|_| 100);
         let b = eight(|i| if i % 3 == 1 { 104 } else { 100 });
         let found = measure(&a, &b);

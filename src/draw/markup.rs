@@ -67,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_stay_inside_their_folder() {
+    fn texts_are_escaped_and_file_names_have_no_folder() {
         let hostile = "<img src=x onerror=\"a('b')\">&\n\u{7}\u{202e}gpj";
         let safe = escape(hostile);
         assert_eq!(safe, "&lt;img src=x onerror=&quot;a(&#39;b&#39;)&quot;&gt;&amp; \u{fffd}\u{fffd}gpj");

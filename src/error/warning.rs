@@ -125,7 +125,7 @@ pub enum Warning {
     },
     /// The exposure of a frame differs from the pixels by more than the largest correction.
     #[error(
-        "{}: according to the pixels, the exposure should be corrected by {wanted_stops:+.2} stops, but the largest correction, {used_stops:+.2}, was used; give -e to set it",
+        "{}: according to the pixels, the exposure should be corrected by {wanted_stops:+.2} stops; it was corrected by only {used_stops:+.2} stops, which is the limit; to set the exposures, give -e",
         path.display()
     )]
     ExposureBounded {
@@ -173,11 +173,11 @@ pub enum Warning {
         paths: Vec<PathBuf>,
     },
     /// The response file is of another camera than the photographs, or does not fit them.
-    #[error("{}: {detail}; recover the response of the photographs with `hdralign response`, or omit --response", path.display())]
+    #[error("{}: {detail}", path.display())]
     ResponseDoubtful {
         /// The response file.
         path: PathBuf,
-        /// Why the response may not be valid for the photographs.
+        /// Why the response may not be valid for the photographs, and what to do.
         detail: String,
     },
     /// Brackets of one response are from different cameras.

@@ -124,7 +124,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn impossible_options_are_rejected_before_any_work() {
+    fn folder_that_cannot_be_used_is_rejected_before_any_work() {
         let dir = tempfile::tempdir().unwrap();
         let at = |name: &str| dir.path().join(name);
         let images = [at("a.jpg"), at("b.jpg")];

@@ -37,7 +37,7 @@ impl Tables {
         add("Table 1. Exposures", "", &["time", "f", "ISO", "EV to reference", "source"], &exposure_row);
         add(
             "Table 2. Keypoints of SIFT and of SURF",
-            "plain: photograph. MTB: its median threshold bitmaps. merged: both, shared points counted once. gain: merged / plain.",
+            "Numbers of keypoints. plain: in the photograph. MTB: in its median threshold bitmaps. merged: in both together, shared keypoints counted once. gain: merged / plain.",
             &["EV", "SIFT: plain", "MTB", "merged", "gain", "SURF: plain", "MTB", "merged", "gain"],
             &keypoint_row,
         );
@@ -68,7 +68,7 @@ impl Tables {
         );
         add(
             "Table 8. Median threshold bitmaps",
-            "XOR: percentage of differing pixels among those that count in both bitmaps, before and after alignment.",
+            "XOR: percentage of the compared pixels that differ, before and after alignment.",
             &["percentile", "threshold", "excluded %", "XOR before %", "XOR after %"],
             &bitmap_row,
         );

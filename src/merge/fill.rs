@@ -33,7 +33,8 @@ pub(super) struct Filling {
     meanings: [Meaning; COLUMNS],
 }
 
-/// Fills row `y` of a tile. Before, `known` and `radiance` are the mean over the frames with known transforms.
+/// Fills row `y` of a tile. `known` and `radiance` contain the mean over the frames with known transforms, and are
+/// updated.
 pub(super) struct FilledRow<'a, 'b> {
     pub layers: &'a [Layer<'b>],
     pub tiles: &'a [Tile],
@@ -192,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn displaced_frame_does_not_reduce_known_confidence() {
+    fn displaced_assumed_frame_changes_only_clipped_places() {
         // A lamp, which frame 0 shows ten pixels to the right.
         let lamp = |at: usize, x: usize| if x.abs_diff(at) <= 20 { [200.0; 3] } else { [0.02; 3] };
         let (bracket, mut alignment) = bracket(|x, _| lamp(150, x));
@@ -202,14 +203,14 @@ mod tests {
         for x in 10..SIZE.0 - 10 {
             let (old, new) = (without[x][1], filled[x][1]);
             if lamp(150, x)[1] < 1.0 {
-                // To the right of the lamp frame 0 shows the lamp, but is not used, because the known frames are not
+                // To the right of the lamp, frame 0 shows the lamp, but is not used, because the known frames are not
                 // clipped.
                 assert_eq!(old, new, "{x}");
             } else if x.abs_diff(150) <= 6 {
                 assert!(new > 10.0 * old, "{x}: {new} {old}");
             } else {
-                // Near the edge of the lamp frame 0 may show the wall: L is the radiance of six code values below
-                // white.
+                // Near the edge of the lamp, frame 0 may show the wall. The result is then at least L, the radiance of
+                // the code value six below white.
                 assert!(new > 0.9 * old, "{x}: {new} {old}");
             }
         }

@@ -29,9 +29,9 @@ pub(super) const LIFT: usize = 6;
 /// Code values between which a frame begins to clip: it is clipped if a shorter frame shows more radiance than the
 /// second code value stands for, and not clipped if less than the first.
 pub(super) const CLIPS: (usize, usize) = (230, 250);
-/// For v: number of code values below white over which the weight of a frame falls as its brightest channel rises, and
-/// the factor at white. The factor is not 0, so that a frame with one clipped channel still contributes to the other
-/// channels if every frame without clipping is darker by some stops.
+/// For the factor v of the [equation](super): number of code values below white over which v falls from 1 as the
+/// brightest channel rises, and v at white. v is not 0 at white, so that a frame with one clipped channel still
+/// contributes to the other channels if every frame without clipping is darker by some stops.
 const GUARD: (f32, f32) = (16.0, 0.25);
 
 /// Code value from which on a pixel counts as clipped.
@@ -53,11 +53,11 @@ struct Table {
     /// X / dt.
     radiance: [f32; CODES],
     weight: [f32; CODES],
-    /// X / dt of the code value minus [`LIFT`].
+    /// Lower bound of the radiance: X / dt at the code value minus [`LIFT`].
     bound: [f32; CODES],
 }
 
-/// X / dt, w and the lower bound of the radiance of a code value; the fourth value is padding.
+/// Radiance (X / dt), weight and lower bound of the radiance of a code value; the fourth value is padding.
 pub(super) type Meaning = [f32; 4];
 
 /// The [`Meaning`] of a code value, and its slope to the next code value.
@@ -234,7 +234,7 @@ pub(super) struct Layer<'a> {
     /// For each channel the radiance from which on the frame is clipped, and the inverse of the range of radiance below
     /// it over which clipping begins: both from [`CLIPS`].
     pub clips: [(f32, f32); 3],
-    /// v of pixels whose brightest channel is at white.
+    /// The factor v of the [equation](super) for pixels whose brightest channel is at white.
     pub guard: f32,
     /// Factor on the weight of pixels beside clipped ones.
     pub ringing: f32,
@@ -269,7 +269,7 @@ impl Layer<'_> {
         (self.middle_weight, self.is_joint) = (1.0, true);
     }
 
-    /// Returns v of pixels whose brightest channel has the code value `top`.
+    /// Returns the factor v of the [equation](super) for pixels whose brightest channel has the code value `top`.
     #[inline(always)]
     pub fn guard(&self, top: f32) -> f32 {
         let v = (255.0 - floor32(top)) * (1.0 / GUARD.0);

@@ -208,7 +208,8 @@ impl Means {
         self.frame.is_used[x] != 0
     }
 
-    /// Updates whether pixel `x` is clipped or black, after the frames with the means `other` have filled it.
+    /// Marks pixel `x` as not clipped (or, if `fill` is [`Fill::Black`], not black) if the frames that filled it show
+    /// it unclipped (or not black). `other` contains the means of these frames.
     pub fn fill(&mut self, x: usize, fill: Fill, other: &Means) {
         match fill {
             Fill::Clipped => self.is_clipped[x] &= other.is_clipped[x],

@@ -121,8 +121,9 @@ impl<'a> Merging<'a> {
         self.local.map_or_else(Vec::new, |local| local.base(i, rows))
     }
 
-    /// Writes to `gain` the factors on the radiance of each layer at `columns`, which are those of the `tiles`; `bases`
-    /// covers all columns of the region. Does nothing without a local gain, where the factors are 1.
+    /// Writes to `gain` the factors on the radiance of each layer at the columns `columns` of the region. `tiles`
+    /// contain only these columns; the rows of `bases` and `gain` contain all columns. Does nothing without a local
+    /// gain, where the factors are 1.
     pub(super) fn multiply(
         &self,
         tiles: &[Tile],

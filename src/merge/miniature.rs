@@ -2,7 +2,7 @@
 //! radiance.
 //!
 //! In: a bracket and its alignment. Out: a [`Miniature`], and the difference of the radiance with two responses. Cost:
-//! a few rows of each frame are read; some milliseconds.
+//! about a hundred rows of each frame are read; some milliseconds.
 //!
 //! Two responses that are nearly equal at most code values may give different radiance: dark pixels have little weight
 //! but are many, and where all frames are clipped or black a single code value decides. Therefore evenly spaced pixels

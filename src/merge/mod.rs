@@ -101,8 +101,8 @@ pub struct Merged {
     /// Number of pixels with all channels at code value 0 even in the longest exposure that covers them: their radiance
     /// is an upper bound.
     pub all_black: usize,
-    /// The relative exposure of the reference frame, t * ISO / N^2 in s. Radiance divided by it is comparable between
-    /// brackets.
+    /// The relative exposure of the reference frame, t * ISO / N^2 in s, or 2^EV if EV was given. Radiance divided by
+    /// it is comparable between brackets.
     pub reference_exposure: f64,
 }
 
@@ -144,7 +144,8 @@ pub struct MergeReport {
     /// The range in stops from the darkest radiance in the picture that is above the noise to the brightest that is not
     /// clipped. Null for locally processed frames.
     pub range_stops: Option<f64>,
-    /// The radiances between noise and clipping, in the unit of the radiance. Null for locally processed frames.
+    /// The radiances at which noise and clipping begin to limit the result, in the unit of the radiance. Null for
+    /// locally processed frames.
     pub limits: Option<Limits>,
     /// Statistics of the luminance.
     pub radiance: Statistics,

@@ -1,7 +1,7 @@
 //! Noise of a frame: the standard deviation of its code values.
 //!
 //! In: a frame. Out: the standard deviation for each channel and step of brightness, and from it the variance of the
-//! exposure of a code value. Cost: some thousands of blocks of 8x8 pixels are read, whatever the size: about 5 ms per
+//! exposure of a code value. Cost: at most 16,384 blocks of 8x8 pixels are read, whatever the size: about 5 ms per
 //! frame. Source: noise as a function of brightness, as the lower envelope over the flat parts of one picture: Liu,
 //! Freeman, Szeliski & Kang 2006, "Noise Estimation from a Single Image". The mixed difference that cancels slopes is
 //! Immerkaer's (1996).
@@ -55,8 +55,8 @@ impl Noise {
         Ok(Noise { steps: shown(frame, LEAST)?, error: if moved { ERROR.1 } else { ERROR.0 } })
     }
 
-    /// Measures the noise of a 16-bit `frame`. The minimum is [`LEAST`] of a 16-bit code value, because the frame is not
-    /// from JPEG.
+    /// Measures the noise of a 16-bit `frame`. The minimum is [`LEAST`] in units of 16-bit code values, because the
+    /// frame is not from JPEG.
     ///
     /// # Errors
     /// Those of [`of`](Self::of).

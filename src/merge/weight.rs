@@ -32,7 +32,8 @@ pub enum Weight {
     Plateau,
     /// All values count the same, clipped or not.
     Uniform,
-    /// Values where the response is steep, in values per stop, count most. Mann & Picard 1995.
+    /// Values count most where the response is steep: where one stop more light changes the value most. Mann & Picard
+    /// 1995.
     MannPicard,
     /// Frames with less noise count more: inverse variance of the measured noise and of rounding.
     Noise,
@@ -95,7 +96,7 @@ impl Weight {
     }
 }
 
-/// `weight`, clamped to a range that f32 holds for responses in any unit.
+/// Clamps `weight` to a range that fits into an `f32`, for responses in any unit.
 fn within(weight: f64) -> f64 {
     weight.clamp(1e-30, 1e30)
 }

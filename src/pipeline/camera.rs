@@ -189,7 +189,7 @@ fn check_options(brackets: &[Vec<PathBuf>], options: &Options) -> Result<()> {
     if brackets.len() > 1 && matches!(options.pipeline.load.reference, ReferenceChoice::File(_)) {
         return single(
             "--reference",
-            "there are several brackets, and a file is in only one of them; give a number (the position in each bracket), or omit the option",
+            "with several brackets, a file name cannot be used, because the file is in only one of them; give a number (the position in each bracket), or omit the option",
         );
     }
     Ok(())

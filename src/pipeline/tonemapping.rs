@@ -48,7 +48,8 @@ impl TonemapOptions {
 }
 
 /// Tone-maps the radiance map `input` and writes the requested files. For a map that `merge` wrote as floats, the
-/// picture has the same bytes as the one that `merge` wrote beside it.
+/// picture has the same pixels as the one that `merge` wrote beside it; its EXIF has only what the header of the map
+/// contains.
 ///
 /// # Errors
 /// Those of [`read::read_within`] and of writing; [`Error::Option`] if the allowed memory is not enough. On an error

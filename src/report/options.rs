@@ -1,4 +1,5 @@
-//! The options of a run, recorded in its report so that it can be repeated.
+//! Options of a run that are recorded in its report: those of alignment, merging and the picture, but not those that
+//! name frames or encode files.
 //!
 //! In: the options of a run. Out: values as typed on the command line, including defaults. Cost: negligible.
 

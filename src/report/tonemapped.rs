@@ -38,12 +38,13 @@ pub struct TonemapReport {
     pub adjust: adjust::Options,
     /// The light that is shown as white; null for that of the radiance map.
     pub white_balance: Option<adjust::Light>,
-    /// The primaries of the picture.
+    /// The primaries of the radiance.
     pub colour: ColourReport,
     /// The luminance of radiance 1 in cd/m2, if the file contains it (OpenEXR's whiteLuminance, TIFF's StoNits);
-    /// otherwise null. Radiance in `.hdr` files is in W/sr/m2.
+    /// otherwise null. The format `.hdr` defines W/sr/m2, but most files are relative.
     pub cd_m2_per_unit: Option<f64>,
-    /// Statistics of the luminance as stored in the file, without black pixels.
+    /// Statistics of the luminance of the radiance as read (and converted to the requested colour space), without black
+    /// pixels.
     pub radiance: Statistics,
     /// Number of pixels with NaN; they are shown black.
     pub not_number_pixels: usize,
@@ -112,7 +113,7 @@ mod tests {
     use crate::bracket::colour::Primaries;
 
     #[test]
-    fn unit_is_in_the_header() {
+    fn unit_is_cd_m2_only_for_a_factor_of_one() {
         let map = RadianceMap { pixels: Plane::filled(4, 2, [0.5; 3]), primaries: Primaries::BT2020 };
         let json = |luminance| -> serde_json::Value {
             let metadata = Metadata { cd_m2_per_unit: Option::and_then(luminance, Factor::new), ..Metadata::default() };

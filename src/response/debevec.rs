@@ -12,9 +12,9 @@
 //!
 //! over g and all ln E_i, by a singular value decomposition of a matrix with a column for each unknown. Here each ln
 //! E_i is eliminated first, because it is only in the rows of its own place: a Householder reflection replaces these
-//! rows by one fewer, which do not contain ln E_i. The singular value decomposition is applied to the remaining
-//! equations, in g only. So thousands of places need no more columns than dozens, and the condition is not squared, as
-//! in normal equations. Five things differ from the paper:
+//! rows by one row fewer, without ln E_i. The singular value decomposition is applied to the remaining equations, in g
+//! only. So thousands of places need no more columns than dozens, and the condition is not squared, as in normal
+//! equations. Five things differ from the paper:
 //!
 //! - Z_ij is the mean of a patch and is between two codes; g is interpolated linearly there.
 //! - The first sum is divided by the sum of its w^2, so that lambda has the same meaning for any number of samples
@@ -39,8 +39,9 @@ pub struct Options {
     /// Largest number of places for each channel; 24 or more.
     pub samples: usize,
     /// The weight lambda of smoothness relative to the mean square error of the samples; positive. On 130 rendered
-    /// brackets the default of 30 has the same error as 100 in the middle codes, and two thirds of its error at the
-    /// ends. A weight of 10 follows noise and waves, and so do weights derived from the residual of each bracket.
+    /// brackets, the error with the default of 30 is that with 100 in the middle codes, and two thirds of that with 100
+    /// at the ends. A weight of 10 follows noise and waves, and so do weights derived from the residual of each
+    /// bracket.
     pub smoothness: f64,
     /// Number of rounds in which contradicting samples lose their weight; 0 for plain least squares.
     pub rounds: usize,
@@ -214,8 +215,8 @@ mod tests {
 
     #[test]
     fn equal_steps_do_not_let_a_wave_in() {
-        // The curve of a print film, steep in the shadows, in steps of two stops, which do not determine a wave of
-        // two stops.
+        // The curve of a print film, steep in the shadows. The exposures are two stops apart, so they do not determine
+        // a wave with a period of two stops.
         let (n, s) = (0.8, libm::pow(0.05, 0.8));
         let samples = scene(600, &[-2.0, 0.0, 2.0], |x| (1.0 + s) * libm::pow(x, n) / (libm::pow(x, n) + s));
         let film = |v: f64| libm::pow(v * s / (1.0 + s - v), 1.0 / n);

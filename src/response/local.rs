@@ -57,7 +57,8 @@ const LEVELS: usize = 8;
 pub struct Evidence {
     /// Median fraction of an exposure step by which frames differ, under the sRGB curve.
     pub step_fraction: f64,
-    /// The same median at the brightness level where it is largest, because places there are compressed least.
+    /// The median fraction at the brightness level where it is largest, because places of that level are compressed
+    /// least.
     pub most_step_fraction: f64,
     /// Standard deviation, over the neighbourhoods of the picture, of the ratio of two frames at the same code, in
     /// stops. It is that of the pair of frames for which it is largest; 0 if noise explains it.
@@ -164,7 +165,7 @@ fn medians(sorted: &[&Ratio], blocks: usize) -> Vec<(f64, f64)> {
     sorted.chunks(size).filter_map(of).collect()
 }
 
-/// Returns the ratio at `level`, interpolated between the blocks and extrapolated beyond the last.
+/// Returns the ratio at `level`, interpolated between the blocks and extrapolated beyond the first and the last.
 fn between(usual: &[(f64, f64)], level: f64) -> f64 {
     if usual.len() < 2 {
         return usual.first().map_or(0.0, |block| block.1);

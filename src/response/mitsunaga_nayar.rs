@@ -10,11 +10,13 @@
 //! ```
 //!
 //! over consecutive exposures q and places p. Then each R_{q,q+1} is computed from f, as the mean of f(M_pq) /
-//! f(M_p,q+1), and both steps are repeated until f no longer changes. The degree is the smallest that fits. Six
+//! f(M_p,q+1), and both steps are repeated until f no longer changes. The degree is the smallest that fits. Eight
 //! things differ from the paper:
 //!
 //! - The sum is of relative errors: each is divided by R f(M_p,q+1), with the previous f. Absolute errors would be
 //!   dominated by bright codes.
+//! - Each pair has a weight: the square of the smaller of the hat weights of its two codes.
+//! - R is the geometric mean of the ratios, with these weights.
 //! - f is 1 at code 128 instead of 255, which no unclipped sample has.
 //! - f is a sum of Chebyshev polynomials: the same polynomial, from equations that are ten orders of magnitude better
 //!   conditioned.
@@ -211,7 +213,9 @@ impl Pairs {
         let power = if refined { both / given } else { 1.0 };
         if !POWER.contains(&power) {
             return Err(format!(
-                "the estimated exposures are the given exposures raised to the power {power:.2}; this exponent is too far from 1"
+                "the exposure steps estimated from the pixels are {power:.2} times the given steps (in stops), which is outside of {} to {}",
+                POWER.start(),
+                POWER.end()
             ));
         }
         let error = error / power;

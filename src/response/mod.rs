@@ -37,9 +37,9 @@ pub const CODES: usize = 256;
 /// The code whose exposure is 1, so that g is 0 there.
 pub const MID: usize = 128;
 
-/// Exposure of code 0 relative to code 1. Rounding gives code 0 to all exposures below half of that of code 1;
-/// their mean is a quarter. No sample determines it, and a smaller value would turn values that are only rounded down
-/// into dark specks.
+/// Exposure of code 0 relative to code 1. Rounding gives code 0 to all exposures below half of that of code 1; their
+/// mean is a quarter. No sample determines the exposure of code 0, and a smaller ratio would turn values that are only
+/// rounded down into dark specks.
 const BLACK: f64 = 1.0 / 4.0;
 
 /// The curves of the three channels are made parallel below the first and above the second of these codes.
@@ -198,7 +198,7 @@ pub struct ResponseReport {
     pub fallback: Option<String>,
 }
 
-/// The ratio of two exposures that are consecutive, without those that are clipped, at some place of the scene.
+/// The ratio of two exposures that are consecutive among the unclipped exposures of some place of the scene.
 #[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct RatioReport {
@@ -252,9 +252,9 @@ pub fn recover(
 const CONTRADICTED: f64 = 0.1;
 
 /// Returns the root mean square residuals of `curve` and of a curve recovered from the frames, in stops, if the first
-/// contradicts the frames: if the difference of the squares of both is above that of `CONTRADICTED`, because
-/// independent errors add in squares. Returns `None` if `curve` fits about as well, or if no curve can be recovered
-/// from the frames.
+/// contradicts the frames: if the difference of the squares of both residuals is above the square of `CONTRADICTED`,
+/// because independent errors add in squares. Returns `None` if `curve` fits about as well, or if no curve can be
+/// recovered from the frames.
 ///
 /// # Errors
 /// As [`recover`].
@@ -372,9 +372,10 @@ fn pooled(ratios: &[&Ratio]) -> Vec<RatioReport> {
     sums.into_iter().map(report).collect()
 }
 
-/// Returns the curves `g`, where all channels have the same slopes at both ends, and a channel has them also beyond the
-/// `codes` of its samples. The common slope is the median of the channels that have samples there. Few samples are at
-/// the ends, and if the channels differed there, black and white would get a colour.
+/// Returns the curves `g`, with slopes that are common to all channels at both ends of the code range and, in each
+/// channel, outside the range `codes` of its samples. The common slope at a code is the median of the channels that
+/// have samples there. Few samples are at the ends, and if the channels differed there, black and white would get a
+/// colour.
 fn with_common_ends(g: [[f64; CODES]; 3], codes: [(f64, f64); 3]) -> [[f64; CODES]; 3] {
     let step = |z: usize| {
         let saw = |c: usize| codes[c].0 <= z as f64 && (z + 1) as f64 <= codes[c].1;

@@ -9,9 +9,9 @@
 //! O = sum_ij w_ij (I(y_ij) - t_i x_j)^2
 //! ```
 //!
-//! by Gauss-Seidel iteration: the x_j for the current I_m, x_j = sum_i w t_i I / sum_i w t_i^2; then the I_m for
-//! these x_j, the mean of t_i x_j over all views of code m; then all I_m are divided by I_128. w is their Gaussian,
-//! exp(-4 (y - 127.5)^2 / 127.5^2). Four things differ from the paper:
+//! by Gauss-Seidel iteration: the x_j for the current I_m, x_j = sum_i w t_i I / sum_i w t_i^2; then the I_m for these
+//! x_j, the mean of t_i x_j over all views of code m; then all I_m are divided by I_128. w is their Gaussian,
+//! exp(-4 (y - 127.5)^2 / 127.5^2). Five things differ from the paper:
 //!
 //! - y_ij is the mean of a patch and is between two codes; I is interpolated linearly there, and a view counts for
 //!   both.
@@ -20,7 +20,8 @@
 //! - The change of ln I in a sweep is smoothed over the codes (Whittaker 1923). The sums have no unique minimum,
 //!   because nothing relates a code to its neighbours; without smoothing the sweeps converge to noise.
 //! - The sweeps start from the sRGB curve instead of a line, and end when they reduce the objective by less than a
-//!   thousandth, so that whatever the frames do not determine keeps its value.
+//!   thousandth, so that whatever the frames do not determine stays as in the sRGB curve.
+//! - Places that contradict the others (motion) lose their weight in three rounds, as in the other models.
 
 use super::fit::{self, Fitted, Found, between};
 use super::samples::{Sample, View};

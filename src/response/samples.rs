@@ -30,8 +30,8 @@ const ROUGH: f64 = 12.0;
 /// patches.
 const DARKER: f64 = 2.0;
 /// Smallest increase of a patch's code per stop of exposure, relative to the code and absolute. If the increase is
-/// smaller, the shorter exposure is at the black of the film or sensor, and is not used. Camera curves rise by a
-/// fifth to a third.
+/// smaller, the shorter exposure is at the black of the film or sensor, and is not used. Camera curves rise by a fifth
+/// to a third of the code per stop.
 const RISE: (f64, f64) = (0.05, 0.5);
 /// Black is estimated from at least this many patches, and is above this fraction of them.
 const BLACK: (usize, f64) = (20, 0.95);
@@ -250,8 +250,8 @@ fn black(seen: &[&Places], channel: usize) -> f64 {
     if codes.len() < BLACK.0 { 0.0 } else { of_rank(codes, rank).unwrap_or(0.0) }
 }
 
-/// Returns the code up to which codes are taken for `below`, and beyond which for `above`, with the fewest on the wrong
-/// side; `f64::MIN` if that is to take none for `below`.
+/// Returns the code that separates `below` (up to it) from `above` (beyond it) with the fewest codes on the wrong side;
+/// `f64::MIN` if there are fewest when all codes are taken for `above`.
 fn parting(below: impl Iterator<Item = f64>, above: Vec<f64>) -> f64 {
     let mut codes: Vec<(f64, i32)> =
         below.map(|code| (code, 1)).chain(above.into_iter().map(|code| (code, -1))).collect();

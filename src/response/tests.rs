@@ -55,8 +55,8 @@ fn curve_of_a_bracket_is_recovered_and_grey_stays_grey() {
     assert!((mean(0) - mean(1)).abs() < 1e-9 && (mean(2) - mean(1)).abs() < 1e-9);
 }
 
-/// Returns the root mean square of the difference from the sRGB curve over codes 10..=245 of all channels, after one
-/// common shift, in stops.
+/// Returns the root mean square difference from the sRGB curve in stops, over codes 10..=245 of all channels, after the
+/// curve is shifted by the constant that makes the difference smallest.
 fn off(curve: &ResponseCurve) -> f64 {
     let srgb = ResponseCurve::srgb();
     let codes = (0..3).flat_map(|c| (10..=245).map(move |z| (c, z)));

@@ -46,8 +46,8 @@ impl Guide {
         Guide::regressed(logs, tones, side, detail, REGULARISATION)
     }
 
-    /// Smooths `values`, those of cells with a side of `side` pixels, and keeps edges: where the variance is `half`,
-    /// half of the deviation from the surroundings is left. This is the guided filter of a picture by itself (section
+    /// Smooths `values`, one for each cell of `side` x `side` pixels, and keeps edges. `half` is the variance at which
+    /// 50 % of a deviation from the surroundings is left. This is the guided filter of a picture by itself (section
     /// 3.2).
     pub fn smoothed(values: &Plane<f32>, side: usize, half: f32) -> Self {
         Guide::regressed(values, values, side, 0.0, half)

@@ -1,4 +1,5 @@
-//! Agreement: a local check of a transform, tile by tile, with a measure that no other method optimises.
+//! Agreement: a local check of a transform, tile by tile, with a measure that bitmaps, features and refinement do not
+//! optimise.
 //!
 //! In: two frames at a common exposure and a transform. Out: how many tiles agree with it, how many disagree, and the
 //! displacement of those that agree. Cost: some twenty correlations per tile, with three multiply-adds per pixel.

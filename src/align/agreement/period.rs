@@ -4,8 +4,8 @@
 //! correlated at every second shift within reach on a small level: some 10 ms. Source: normalised cross-correlation
 //! (Lewis 1995) of the picture with itself.
 //!
-//! The similarity under a shift falls with its length and stays low in a picture that does not repeat. In a facade it is
-//! high again at the period, and low at half of it.
+//! The similarity under a shift falls with its length and stays low in a picture that does not repeat. In a facade it
+//! is high again at the period, and low at half of it.
 
 use crate::align::agreement::pattern::{Pattern, Shift, Warped};
 use crate::align::grey::{GreyPyramid, level_within};
@@ -23,7 +23,8 @@ const SIDE: usize = 32;
 const PATCHES: usize = 3;
 /// Fewest patches that are compared under a shift.
 const LEAST_PATCHES: usize = 6;
-/// Distance of the shifts that are compared, in pixels of the level, which is smoothed with a standard deviation of one.
+/// Distance of the shifts that are compared, in pixels of the level, which is smoothed with a standard deviation of
+/// one.
 const STRIDE: isize = 2;
 /// Smallest period that is detected, in pixels of the level.
 const LEAST: isize = 6;
@@ -34,8 +35,8 @@ const NEARER: f64 = 0.5;
 /// Most periods that are returned, the most similar first.
 const MOST: usize = 6;
 
-/// The shifts, in pixels of the full size, under which `picture` matches itself; none if it does not repeat. Of a shift and
-/// its opposite only one is returned.
+/// The shifts, in pixels of the full size, under which `picture` matches itself; none if it does not repeat. Of a shift
+/// and its opposite only one is returned.
 ///
 /// `max_shift` is the largest that is searched, as a share of the long side.
 pub(crate) fn periods(picture: &GreyPyramid, max_shift: f64) -> Vec<(f64, f64)> {

@@ -42,7 +42,8 @@ fn the_truth_is_borne_out_and_errors_are_measured() {
 #[test]
 fn moving_object_contradicts_only_in_its_tiles() {
     let scene = Scene::new(31);
-    // Tiles are 30 px: the mover has 4 x 3 of them, and 6 x 5 with those that it may touch.
+    // Tiles are 30 px. The moving object covers 4 x 3 tiles; with the ring of tiles around these, which it may touch, 6
+    // x 5.
     let with_mover = |x: f64, y: f64| {
         let inside = (150.0..270.0).contains(&x) && (90.0..180.0).contains(&y);
         scene.radiance(if inside { x + 40.0 } else { x }, y)

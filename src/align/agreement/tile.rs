@@ -77,7 +77,8 @@ impl Correlations<'_> {
         }
     }
 
-    /// The vertex of the parabola through `at` and its neighbours along an axis, -1/2..=1/2.
+    /// Returns where the parabola through the correlations at (x, y) and at its two neighbours in direction (dx, dy)
+    /// has its maximum: an offset from (x, y), in steps of (dx, dy), of -1/2..=1/2; 0 if there is no maximum.
     fn vertex(&mut self, (x, y): Shift, (dx, dy): Shift) -> f32 {
         let (before, here, after) = (self.at((x - dx, y - dy)), self.at((x, y)), self.at((x + dx, y + dy)));
         let bend = before - 2.0 * here + after;

@@ -1,7 +1,7 @@
 //! Sub-pixel refinement of the bitmap search: the minimum of the XOR counts.
 //!
 //! In: the bitmaps of two frames at one level, and a motion that is off by a pixel or two. Out: the motion at which the
-//! fewest pixels differ, and its error estimate. Cost: a round warps the frame once and counts eight times; two to four
+//! fewest pixels differ, and its error estimate. Cost: a round warps the frame once and counts ten times; two to four
 //! rounds are enough. Nothing but the observations is allocated after [`Descent::new`]. Source: the counts are Ward's
 //! (2003, section 2). The thesis tries one angle after another (chapter 4). Here the picture is divided into a grid of
 //! cells. The counts under shifts of up to two pixels give the displacement of each cell, and shift and rotation are

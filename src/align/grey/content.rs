@@ -1,4 +1,5 @@
-//! Brightness of a frame, and the share of its pixels that are neither black nor white.
+//! Brightness of a frame, and the share of its pixels that differ from its black (in a mostly white frame, from its
+//! white).
 //!
 //! In: a frame. Out: its [`Content`] and its grey pyramid. Cost: that of the pyramid.
 
@@ -14,7 +15,7 @@ pub(crate) struct Content {
     pub(crate) brightening_stops: Option<u32>,
     /// Whether nearly all pixels have nearly the same grey value.
     pub(crate) is_uniform: bool,
-    /// The pixels that are neither black nor white.
+    /// The pixels that differ from the black of the frame, or from its white if it is mostly white.
     pub(crate) detail: Detail,
 }
 
@@ -37,7 +38,8 @@ impl Content {
 /// The pixels of a frame that differ from black, or from white in a mostly white frame.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Detail {
-    /// Whether the frame is mostly white: its detail is darker than white.
+    /// Whether more than half of the frame is bright (median above 127): detail is then what differs from the white of
+    /// the frame; otherwise it is what differs from its black.
     pub(crate) is_white: bool,
     /// The least grey value that counts as detail, or the largest in a white frame, after
     /// [brightening](Content::brightening_stops).

@@ -1,6 +1,6 @@
 //! Histograms of grey values, and their percentiles.
 //!
-//! In: grey planes or rows. Out: [`Histogram`], [`Percentile`]. Cost: counting at most about a million pixels.
+//! In: grey planes or rows. Out: [`Histogram`], [`Percentile`]. Cost: counting at most about two million pixels.
 
 use crate::plane::Plane;
 use std::ops::RangeInclusive;

@@ -1,7 +1,7 @@
 //! Grey pyramids of the frames, which all methods of alignment use.
 //!
-//! In: a frame. Out: its [`GreyPyramid`] with histograms, and the share of its pixels that are neither black nor white.
-//! Cost: one pass over the frame.
+//! In: a frame. Out: its [`GreyPyramid`] with histograms, and the share of its pixels that differ from its black (in a
+//! mostly white frame, from its white). Cost: one pass over the frame.
 
 mod content;
 mod histogram;

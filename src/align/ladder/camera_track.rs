@@ -111,8 +111,8 @@ impl CameraTrack {
         far * far
     }
 
-    /// The mean transform and the variance about it, if this model explains the transforms decisively better than
-    /// steps.
+    /// Returns the mean transform and the variance about it, if transforms that scatter about one place are more than 1
+    /// / [`WORSE`] times as likely as a random walk from frame to frame; otherwise none.
     fn about_one_place(&self) -> Option<(Transform, f64)> {
         let mut mean = self.known[0].transform;
         for (k, known) in self.known.iter().enumerate().skip(1) {

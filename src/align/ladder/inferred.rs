@@ -2,7 +2,7 @@
 //!
 //! In: the placements of all frames. Out: the placements of frames with little detail, inferred from the motion of the
 //! camera in the others. Cost: that of comparing each such frame with the reference once more, and with its neighbour
-//! in exposure on a grid of some ten thousand samples.
+//! in exposure on a grid of some tens of thousands of samples.
 //!
 //! A frame that is nearly all black or white has little detail for alignment, but is often important: it may be the
 //! only one with unclipped lamps. Where the camera stood still for the others, or moved little from one to the next,

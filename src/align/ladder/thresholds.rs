@@ -1,13 +1,13 @@
 //! Thresholds of the ladder: when a method suffices, which candidate wins, and which candidates are accepted.
 //!
-//! In: nothing. Out: constants, each with its unit and provenance. "Chosen" means chosen on rendered brackets with
-//! known transforms, without a derivation. The tables in the tests of `selection` show their effect.
+//! In: nothing. Out: constants, each with its unit and provenance. Those chosen on rendered brackets, whose transforms
+//! are known, have no derivation. The tables in the tests of `selection` show their effect.
 
 // When bitmaps suffice.
 
-/// Fewest agreeing tiles of a settled candidate. Chosen.
+/// Fewest agreeing tiles of a settled candidate. Chosen on rendered brackets.
 pub(super) const SETTLED_AGREEING: usize = 12;
-/// Least number of decided tiles per disagreeing tile of a settled candidate. Chosen.
+/// Least number of decided tiles per disagreeing tile of a settled candidate. Chosen on rendered brackets.
 pub(super) const SETTLED_DECIDED_PER_DISAGREEING: usize = 40;
 /// Largest error estimate of a settled candidate, in pixels of the full size: half a pixel still shows no double edge.
 pub(super) const SETTLED_ERROR_PX: f64 = 0.5;
@@ -20,14 +20,15 @@ pub(super) const ACCEPTED_CONFIDENCE: f64 = 0.35;
 /// Fewest agreeing tiles of a candidate that nearly all tiles agree with. Low, because frames that are mostly black or
 /// clipped are often the important ones.
 pub(super) const UNOPPOSED_AGREEING: usize = 3;
-/// Least number of agreeing tiles per disagreeing tile of such a candidate. Chosen.
+/// Least number of agreeing tiles per disagreeing tile of such a candidate. Chosen on rendered brackets.
 pub(super) const UNOPPOSED_AGREEING_PER_DISAGREEING: usize = 8;
-/// Least reliability of an accepted candidate with too little confidence, 0..=1. Chosen.
+/// Least reliability of an accepted candidate with too little confidence, 0..=1. Chosen on rendered brackets.
 pub(super) const ACCEPTED_RELIABILITY: f64 = 0.25;
-/// Fewest decided tiles with which a rejection is explained by their disagreement rather than by their number. Chosen.
+/// Fewest decided tiles with which a rejection is explained by their disagreement rather than by their number. Chosen
+/// on rendered brackets.
 pub(super) const EXPLAINING_TILES: usize = 8;
 /// Error estimate that halves the confidence of a candidate, in pixels, for pictures with a diagonal of up to 2000
-/// pixels. Chosen.
+/// pixels. Chosen on rendered brackets.
 pub(super) const TOLERANCE_PX: f64 = 1.5;
 /// The median offset of tiles under the true transform, in pixels of their level. Measured on rendered brackets.
 pub(super) const TILE_NOISE_PX: f64 = 0.05;
@@ -39,7 +40,8 @@ pub(super) const TILE_NOISE_PX: f64 = 0.05;
 pub(super) const LATER_EVIDENCE_FACTOR: f64 = 1.01;
 /// ... plus this number of tiles, so that rounding of equal evidence does not decide.
 pub(super) const LATER_EVIDENCE_TILES: f64 = 0.5;
-/// Evidence, as a share of the best candidate's, from which a candidate is comparable with it. Chosen.
+/// Evidence, as a share of the best candidate's, from which a candidate is comparable with it. Chosen on rendered
+/// brackets.
 pub(super) const COMPARABLE_EVIDENCE: f64 = 0.4;
 /// Evidence for one candidate over another from which the choice is decided, in nats: odds of 7 to 1.
 pub(crate) const DECISIVE_NATS: f64 = 2.0;
@@ -47,23 +49,23 @@ pub(crate) const DECISIVE_NATS: f64 = 2.0;
 // Features.
 
 /// Fewest inliers of an accepted homography. Four points always fit, four more may fit by chance, and two are a margin.
-/// Chosen.
+/// Chosen on rendered brackets.
 pub(super) const LEAST_INLIERS: usize = 10;
 /// Bitmaps and features corroborate each other if their transforms differ by no more than this, in pixels of the full
-/// size for each 1000 of the diagonal. Chosen.
+/// size for each 1000 of the diagonal. Chosen on rendered brackets.
 pub(super) const CORROBORATED_PX: f64 = 2.0;
 /// Transforms within this multiple of [`CORROBORATED_PX`] are estimates of the same transform; others are alternatives.
-/// Chosen.
+/// Chosen on rendered brackets.
 pub(super) const SAME_APART: f64 = 3.0;
-/// Least support of a candidate on which bitmaps and features agree, 0..=1, for few decided tiles. Chosen.
+/// Least support of a candidate on which bitmaps and features agree, 0..=1, for few decided tiles. Chosen on rendered
+/// brackets.
 pub(super) const CORROBORATED_CONFIDENCE: f64 = 0.7;
 
 // Frames that are inferred from others.
 
-/// Confidence, 0..=1, of a transform that is inferred from other frames, if its expected error is 0; with a larger error
-/// the confidence is lower.
-/// Above [`INFERRING_CONFIDENCE`], so that such a frame is not uncertain, and below the confidence of agreeing tiles.
-/// Chosen.
+/// Confidence, 0..=1, of a transform that is inferred from other frames, if its expected error is 0; with a larger
+/// error the confidence is lower. Above [`INFERRING_CONFIDENCE`], so that such a frame is not uncertain, and below the
+/// confidence of agreeing tiles. Chosen on rendered brackets.
 pub(crate) const INFERRED_CONFIDENCE: f64 = 0.6;
 /// Least confidence of a frame from which the transforms of others are inferred, 0..=1: more likely right than wrong.
 pub(super) const INFERRING_CONFIDENCE: f64 = 0.5;

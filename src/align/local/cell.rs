@@ -7,8 +7,8 @@
 /// exceed it; matches of a noisy frame are maxima among many, and the errors of neighbours are correlated. Measured on
 /// rendered brackets.
 const SIGNIFICANT: f64 = 40.0;
-/// Slope of the correlation that a difference of the tones causes, per pixel of the level: it displaces the peak of a soft
-/// edge far, and that of a sharp edge hardly. Measured on rendered brackets that are out of focus.
+/// Slope of the correlation that a difference of the tones causes, per pixel of the level: it displaces the peak of a
+/// soft edge far, and that of a sharp edge hardly. Measured on rendered brackets that are out of focus.
 const TONE_SLOPE: f64 = 0.003;
 
 /// A cell of the field. All lengths are in pixels of the level.

@@ -2,12 +2,13 @@
 //!
 //! In: the cells of a [`LocalField`](super::LocalField), that is, displacements from a transform. Out: the homography
 //! within a pixel of most of the cells, or none if the transform is nearly as good. Cost: 200 trials of 8 x 8 equations
-//! and 48 refinements, each on up to 1500 cells: some 30 ms. Source: Fischler & Bolles, CACM 24(6), 1981 (random samples,
-//! scored by the number of inliers); Chum, Matas & Kittler, DAGM 2003 (the best samples are refined).
+//! and 48 refinements, each on up to 1500 cells: some 30 ms. Source: Fischler & Bolles, CACM 24(6), 1981 (random
+//! samples, scored by the number of inliers); Chum, Matas & Kittler, DAGM 2003 (the best samples are refined).
 //!
 //! Refinement minimises the difference of the pixels. Where parts of the picture move differently by a few pixels, its
-//! result is a compromise that fits none of them, and it fits the part with the strongest contrast best. Here every cell
-//! has the same weight, whatever its contrast, and a cell that moves differently has none.
+//! result is a compromise that fits none of them, and it fits the part with the strongest contrast best. Here all cells
+//! that are known better than the tolerance have nearly the same weight, whatever their contrast; a less precise one
+//! has less, and one that moves differently has none.
 
 use crate::align::local::cell::{Cell, square};
 use crate::align::transform::{Increment, Model};
@@ -15,15 +16,16 @@ use crate::statistics::{TUKEY, biweight, random};
 use nalgebra::{DMatrix, DVector, Matrix3};
 use std::cmp::Reverse;
 
-/// Tolerances of the refinement: standard deviations, along an axis, of the displacements that a homography leaves, in
-/// pixels of the full size. A cell that is displaced by [`TUKEY`] times as much (1 to 2.8 px) has no weight. With the
-/// narrow one the result follows one of many planes, with the wide one a surface that bends.
+/// Tolerances that are tried in the refinement; the result that most cells fit is used. Each is the standard deviation,
+/// along an axis, of the displacements that a homography leaves, in pixels of the full size. A cell displaced by
+/// [`TUKEY`] times as much (0.9, 1.6 and 2.8 px) has no weight. The smallest tolerance makes the homography follow one
+/// of several planes, the largest a curved surface as a whole.
 const TOLERANCES_PX: [f64; 3] = [0.2, 0.35, 0.6];
 /// Displacement up to which a cell fits, in pixels of the full size: no double edge is visible.
 const FITS_PX: f64 = 1.0;
 /// Number of random samples. If half of the cells have the dominant motion, twelve of them draw four such cells.
 const TRIALS: u64 = 200;
-/// Number of the best samples, which are refined.
+/// Number of the starts that are refined: the best of the samples and of the present transform.
 const SETTLED: usize = 16;
 /// Number of cells of a sample: four determine a homography.
 const SAMPLE: usize = 4;
@@ -45,7 +47,8 @@ pub(super) struct Dominant {
     pub(super) error: f64,
 }
 
-/// The homography that fits most of `cells`, which are displaced from the transform `h`; none where `h` fits nearly as many.
+/// The homography that fits most of `cells`, which are displaced from the transform `h`; none where `h` fits nearly as
+/// many.
 ///
 /// `size` is that of the level, `scale` the length of its pixels in pixels of the full size, and `overlap` the number
 /// of cells that each pixel counts in.
@@ -117,7 +120,8 @@ impl Observation {
     }
 }
 
-/// Number of `observations` within a standard deviation of the motion `step`: with the tolerance [`FITS_PX`], the cells that fit.
+/// Number of `observations` within a standard deviation of the motion `step`: with the tolerance [`FITS_PX`], the cells
+/// that fit.
 fn fitting(observations: &[Observation], step: &DVector<f64>) -> usize {
     observations.iter().filter(|o| o.off(step) < 1.0).count()
 }
@@ -159,8 +163,8 @@ impl Fit<'_> {
 
     /// The motion with the least weighted residuals, and the matrix of its normal equations.
     ///
-    /// The prior is that of the transform after the motion `at`, and `factor` the ratio of the standard error to that of
-    /// independent observations.
+    /// The prior is that of the transform after the motion `at`, and `factor` the ratio of the standard error to that
+    /// of independent observations.
     fn solve(
         &self,
         observations: &[Observation],

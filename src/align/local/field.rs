@@ -29,15 +29,15 @@ const LEAST_KNOWN: f64 = 0.25;
 const LEAST_AGREEING: f64 = 0.5;
 /// Fewest cells for a misfit.
 const LEAST_CELLS: usize = 16;
-/// Displacement from which a cell is displaced, in pixels of the full size. Less than the 2 px that show as a double edge,
-/// because cells at edges of depth measure the mean of two displacements.
+/// Displacement from which a cell is displaced, in pixels of the full size. Less than the 2 px that show as a double
+/// edge, because cells at edges of depth measure the mean of two displacements.
 const DISPLACED_PX: f64 = 1.5;
 
-/// Least displaced share of the picture that counts in the root mean square: less is more likely due to things that moved
-/// than to depth.
+/// Least displaced share of the picture that counts in the root mean square: less is more likely due to things that
+/// moved than to depth.
 const LEAST_DISPLACED: f64 = 0.01;
-/// Least root mean square displacement for which a motion that fits more of the picture is searched, in pixels of the full
-/// size.
+/// Least root mean square displacement for which a motion that fits more of the picture is searched, in pixels of the
+/// full size.
 const LEAST_MISFIT_PX: f64 = 0.15;
 /// Displacement from which a cell is a reason to search farther, in pixels of the full size.
 const SUSPICIOUS_PX: f64 = 1.0;
@@ -53,7 +53,8 @@ struct Neighbourhood {
     overlap: f64,
 }
 
-/// The neighbourhoods of [`matching::near`] and [`matching::far`]: 48 pixels wide, as narrow as twigs and railings allow.
+/// The neighbourhoods of [`matching::near`] and [`matching::far`]: 48 pixels wide, as narrow as twigs and railings
+/// allow.
 const NEAR: Neighbourhood = Neighbourhood { radius: 1, overlap: 0.5 };
 const FAR: Neighbourhood = Neighbourhood { radius: 2, overlap: 4.0 };
 
@@ -103,8 +104,8 @@ impl LocalField {
         LocalField { overlap: FAR.overlap, cells: smoothed(&far, FAR), still: far.still(), ..field }
     }
 
-    /// The same displacements from the transform of the [dominant motion](dominant), and its error estimate in pixels of
-    /// the full size; none if the present transform fits as much of the picture.
+    /// The same displacements from the transform of the [dominant motion](dominant), and its error estimate in pixels
+    /// of the full size; none if the present transform fits as much of the picture.
     pub(crate) fn dominant(&self) -> Option<(Self, f64)> {
         if self.cells.len() < LEAST_CELLS || self.misfit().rms_px < LEAST_MISFIT_PX {
             return None;

@@ -30,8 +30,8 @@ fn share_and_displacement_of_a_near_object_are_measured() {
     let truth = rigid(3.0, -2.0, 0.4);
     for moved in [4.0, 12.0] {
         let found = misfit(480.0, moved, 1.5, &truth);
-        // A quarter of the picture moves; patches within 24 of the 640 pixels of the border between the moving and the still part
-        // may count as either.
+        // A quarter of the picture moves; patches within 24 of the 640 pixels of the border between the moving and the
+        // still part may count as either.
         assert!((found.displaced.fraction - 0.25).abs() < 0.06, "{moved}: {found:?}");
         assert!((found.displaced.px - moved).abs() < 0.3, "{moved}: {found:?}");
         let rms = moved * found.displaced.fraction.sqrt();

@@ -3,7 +3,7 @@
 //! In: a [`FramePair`] and an approximate transform. Out: the transform of a given model with the least photometric
 //! error, and an error estimate. Cost: two planes at a common exposure for each level down to [`measured_level`], then
 //! about 16,000 patches of the finest level; 0.1 us for each point and step. Source: Baker & Matthews, "Lucas-Kanade 20
-//! Years On", IJCV 56(3), 2004, section 2.2 (compositional updates). Residuals are weighted by Tukey's biweight.
+//! Years On", IJCV 56(3), 2004, section 3.1 (compositional updates). Residuals are weighted by Tukey's biweight.
 
 mod fine_level;
 mod frame_pair;
@@ -48,9 +48,9 @@ pub struct Refined {
 /// Refines `start` as a transform of `model`, level by level from `levels.0` (coarsest) to `levels.1` (0 is the largest
 /// level).
 ///
-/// Of the levels larger than [`measured_level`], only [`finest_level`] is used, in patches, and only if level
-/// `levels.1` is larger than [`measured_level`]. Returns none if the overlap has too little structure, or if the steps
-/// diverge.
+/// Levels with a smaller index (more pixels) than [`measured_level`] are skipped, with one exception: if `levels.1` is
+/// smaller than [`measured_level`], the last step is on [`finest_level`], in patches. Returns none if the overlap has
+/// too little structure, or if the steps diverge.
 pub fn refine(pair: &FramePair, start: &Transform, model: Model, levels: (usize, usize)) -> Option<Refined> {
     let (coarsest, finest) = levels;
     let (width, height) = pair.size();

@@ -2,8 +2,9 @@
 //!
 //! In: for each point the derivatives J^T g of its grey value by the parameters (J: Jacobian of its position, g:
 //! gradient), its residual r and its precision. Out: A = sum w J^T g g^T J and b = sum w J^T g r, with a robust weight
-//! w for each point. Cost: 44 multiply-adds per point for eight parameters. Source: Baker & Matthews, "Lucas-Kanade 20
-//! Years On", IJCV 56(3), 2004, section 4.1 (iteratively reweighted least squares); the weights are Tukey's biweight.
+//! w for each point. Cost: 44 multiply-adds per point for eight parameters. Source: Baker, Gross, Ishikawa & Matthews,
+//! "Lucas-Kanade 20 Years On: Part 2", CMU-RI-TR-03-01, 2003 (robust error functions, iteratively reweighted least
+//! squares); the weights are Tukey's biweight.
 
 use crate::align::refinement::frame_pair::Point;
 use crate::simd::{Loops, vectorised};

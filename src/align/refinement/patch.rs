@@ -1,7 +1,7 @@
 //! Patches: small smoothed parts of a level, computed without the rest of it.
 //!
 //! In: a grey plane, a table of grey values and a position. Out: the smoothed values around it, and interpolation
-//! between them. Cost: 12 x 12 look-ups and some 1,600 multiply-adds for a patch of 8 x 8; sixteen multiply-adds to
+//! between them. Cost: 12 x 12 look-ups and 160 sums of five values for a patch of 8 x 8; sixteen multiply-adds to
 //! interpolate. Source: [`binomial`](crate::pyramid::binomial) for the smoothing; Keys 1981 (see
 //! [`cubic`](crate::align::resampling::cubic)).
 

@@ -98,7 +98,7 @@ fn moving_object_does_not_affect_the_refinement() {
 }
 
 #[test]
-fn uniform_picture_has_no_features() {
+fn uniform_picture_is_not_refined() {
     let plain = GreyPyramid::new(Plane::filled(SIZE.0, SIZE.1, 90));
     for model in [Model::Shift, Model::Rigid, Model::Homography] {
         assert!(found(&plain, &plain, &Transform::Identity, model, 2).is_none());

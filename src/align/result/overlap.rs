@@ -1,6 +1,6 @@
 //! The overlap: the largest rectangle of the reference that all aligned frames cover.
 //!
-//! In: transforms. Out: a [`Rect`], or none. Cost: some thousand evaluations of the frames' edges.
+//! In: transforms. Out: a [`Rect`], or none. Cost: some 15,000 evaluations of the frames' edges.
 //!
 //! A frame covers the intersection of the half-planes inside its four edges, which a homography keeps straight. For
 //! given left and right sides of the rectangle, the best upper and lower sides follow directly. The logarithm of the

@@ -2,8 +2,8 @@
 //!
 //! In: a [`Model`] and the size of a plane. Out: the Jacobian of the transform by its parameters, the matrix for given
 //! parameters, the prior for a hand-held camera, and the error in pixels that follows from a covariance of the
-//! parameters. Cost: negligible. Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 2.2
-//! and its table of warps.
+//! parameters. Cost: negligible. Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 3.1
+//! (compositional updates).
 
 use crate::align::transform::{GRID, Model, Transform, centre, grid};
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2};

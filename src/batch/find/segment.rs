@@ -65,12 +65,12 @@ const TURNS: f64 = 5.0;
 const MIXED: f64 = 8.0;
 /// Cost of each step in automatic mode that the recorded compensation does not explain: the light may have changed.
 const METERED: f64 = 3.0;
-/// Cost of such a step (see [`METERED`]) of about a stop or more within [`AT_ONCE_S`], if the steps of the bracket are
-/// even: light does not change like this, so the camera took a bracket without recording it.
+/// Cost, instead of [`METERED`], of a step of about a stop or more within [`AT_ONCE_S`], if all steps of the bracket
+/// are equal: light does not change so fast and so evenly, so the camera took a bracket, although EXIF does not say so.
 const METERED_AT_ONCE: f64 = 0.7;
 /// Longest pause before a step that costs only [`METERED_AT_ONCE`], in seconds.
 const AT_ONCE_S: f64 = 1.0;
-/// Cost of each position in the camera's bracketing sequence that an earlier frame has too.
+/// Cost of each frame that has the same position in the camera's bracketing sequence as an earlier frame.
 const PLACE_TWICE: f64 = 2.5;
 /// Largest cost of all repeated positions.
 const PLACES_TWICE: f64 = 5.0;

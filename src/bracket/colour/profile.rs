@@ -169,7 +169,8 @@ mod tests {
     use super::*;
     use moxcms::ColorProfile;
 
-    /// Builds a version 2 profile from `colorants`, adapted to D50, and the media white, without `chad`.
+    /// Builds a version 2 profile without `chad` from `colorants`, which are adapted to D50, and the media white
+    /// `white`.
     fn icc(colorants: [[f64; 3]; 3], white: [f64; 3]) -> Vec<u8> {
         let xyz = |v: [f64; 3]| {
             let numbers = v.iter().flat_map(|x| ((x * 65536.0).round() as i32).to_be_bytes());

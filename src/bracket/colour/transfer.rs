@@ -51,7 +51,7 @@ impl Transfer {
 pub enum Curve {
     /// IEC 61966-2-1.
     Srgb,
-    /// The inverse of ITU-R BT.709's camera curve, and of BT.601's and BT.2020's.
+    /// The inverse of the camera curve that ITU-R BT.601, BT.709 and BT.2020 share.
     Bt709,
     /// Linear light is the pixel value to this power.
     Power(f64),

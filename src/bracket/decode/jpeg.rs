@@ -3,9 +3,9 @@
 //! In: the file. Out: 8-bit RGB, decoded by zune-jpeg without a copy. Cost: that of zune-jpeg (7 ns per pixel at
 //! 4:2:0), and one pass through the file. Three kinds of files are decoded by jpeg-decoder, which takes three times as
 //! long, because zune-jpeg 0.5.15 decodes them wrongly: sequential files with several scans, whose blocks it misplaces
-//! where chroma has fewer rows; files whose chroma is finer than luma; and files in which it interpolates the last
-//! chroma sample with the arbitrary padding behind the image. Source: ITU-T T.81 (annexes B, F, G), Adobe Technical
-//! Note 5116 for the APP14 marker, CIPA DC-007 (MPF) for what may follow.
+//! where chroma has fewer rows; files whose chroma is finer than luma; and files in which zune-jpeg interpolates the
+//! last chroma sample with the arbitrary padding behind the image. Source: ITU-T T.81 (annexes B, F, G), Adobe
+//! Technical Note 5116 for the APP14 marker, CIPA DC-007 (MPF) for the images that may follow the first one.
 //!
 //! Decoders fill missing data with grey or noise, so the markers are checked first: the file must be complete up to the
 //! end of its first image. Further images (MPF previews, gain maps) and trailing bytes are cut off. A repair tool may
@@ -56,8 +56,9 @@ pub(super) fn decode(mut bytes: Vec<u8>, limits: &Limits) -> Result<Stored, Reas
     let (width, height) = layout.size;
     limits.check_size(width, height)?;
     let pixels = width as u64 * height as u64;
-    // The largest number of pixels per byte: 8 blocks of 64 samples, which take at least one bit each, and 4 x 4 pixels
-    // per sample, because one component may be finer than another by at most four by four.
+    // The largest number of pixels per byte: a byte holds at most 8 blocks, because a block of 64 samples takes at
+    // least one bit, and a sample covers at most 4 x 4 pixels, because a component has at most four times the
+    // resolution of another along each axis.
     limits::check_length(bytes.len(), pixels, 64 * 8 * 16)?;
     let is_beyond_zune = layout.is_beyond_zune();
     // Held in memory: the output (RGB, or CMYK and RGB), all coefficients of a progressive file with 2 bytes each, and

@@ -29,7 +29,8 @@ pub(super) fn decode(bytes: &[u8], allowed: &Allowed) -> Result<Stored, Reason> 
     let bits = header.bits_per_pixel() as u64;
     limits::check_length(bytes.len(), pixels * bits / 8, DEFLATE)?;
     let (bytes_each, channels) = (if header.bit_depth == BitDepth::Sixteen { 2 } else { 1 }, 1 + bits.div_ceil(8));
-    // Memory for the decompressed bytes, the same as 16-bit words, and RGB.
+    // At the peak, memory holds the decompressed bytes, for 16 bits also a copy of them as words, and the pixels as
+    // RGB. `channels` leaves room for an alpha channel that a tRNS chunk adds.
     let needed = pixels * bytes_each * (channels.max(3) + 3) + bytes.len() as u64;
     allowed.check_memory((width, height), needed)?;
     let mut reader = decoder.read_info().map_err(damaged)?;

@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn missing_folders_are_named() {
+    fn unsupported_content_is_named() {
         for (bytes, name) in [
             (&b""[..], "empty file"),
             (b"Dear diary,\n", "text"),

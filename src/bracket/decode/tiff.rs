@@ -41,7 +41,8 @@ pub(super) fn decode(mut bytes: Vec<u8>, allowed: &Allowed) -> Result<Stored, Re
     let compression = decoder.find_tag_unsigned::<u32>(Tag::Compression).ok().flatten().unwrap_or(1);
     let packed = pixels.saturating_mul(kind.samples * kind.depth) / 8;
     limits::check_length(bytes.len(), packed, limits::tiff_packing(compression))?;
-    // Memory for the samples as stored, without extra samples, and as RGB; two of these three are held at a time.
+    // There are three versions of the samples: as stored, then without extra samples, then as RGB. Memory holds two of
+    // them at a time.
     let wanted = kind.colour.samples();
     let (each, stored) = (kind.depth.div_ceil(8), pixels.saturating_mul(kind.samples * kind.depth.div_ceil(8)));
     let needed = stored.saturating_add(pixels * each * wanted.max(3) as u64 + bytes.len() as u64);
@@ -221,7 +222,7 @@ fn is_big<R: Read + Seek>(decoder: &mut Decoder<R>) -> bool {
 
 /// Returns the `wanted` fields of the image as a TIFF block. A field that the image lacks, other than the orientation,
 /// is taken from the directory `first`. In either directory, a tag that EXIF defines for the EXIF directory is looked
-/// for there first, then in the directory itself.
+/// for first in the EXIF directory that it points to, then in the directory itself.
 fn fields<R: Read + Seek>(
     decoder: &mut Decoder<R>,
     first: Option<IfdPointer>,

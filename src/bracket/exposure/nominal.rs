@@ -8,7 +8,7 @@
 //!
 //! Measured or computed values must not be changed: phones write 1/33 s, 16666667/1000000000 s, f/1.79. So all times of
 //! the bracket must be nominal and on one series (thirds or halves of a stop), and either f-numbers and sensitivities
-//! must be so too, or ShutterSpeedValue confirms the exact times.
+//! must be nominal too, or ShutterSpeedValue must confirm the exact times.
 
 use super::{ExposureTags, Tagged};
 
@@ -164,7 +164,7 @@ mod tests {
         for (n, ..) in OTHER_THIRDS {
             assert!(near(thirds_of_time(n), n, 0.06), "{n}");
         }
-        // The marking 0.3 stands for half a stop below 0.5 s, which is 0.354 s: 18 % more.
+        // The marking 0.3 stands for half a stop below 0.5 s, which is 0.354 s: 18 % more than 0.3 s.
         for (n, ..) in OTHER_HALVES {
             assert!(near(halves_of_time(n), n, 0.19), "{n}");
         }
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn measured_estimates_are_sufficient() {
+    fn measured_or_mixed_values_have_no_exact_steps() {
         assert_eq!(times(&[1.0 / 33.0, 1.0 / 60.0]), None);
         assert_eq!(times(&[1.0 / 1243.0, 1.0 / 60.0]), None);
         // 1/45 is only in the series of halves, and 1/40 only in that of thirds.
@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn shutter_speed_is_used_without_f_number() {
+    fn shutter_speed_confirms_exact_times_if_the_f_number_is_no_step() {
         let with = |time, shutter_speed| ExposureTags { shutter_speed: Some(shutter_speed), ..frame(time, 4.9, 100.0) };
         let exact_tags = exact(&[with(1.0 / 30.0, 5.0), with(1.0 / 125.0, 7.0)]).unwrap();
         assert_eq!((exact_tags[0].time_s.unwrap().0, exact_tags[0].f_number.unwrap().0), (1.0 / 32.0, 4.9));

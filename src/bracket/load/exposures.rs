@@ -99,9 +99,9 @@ pub(super) fn settle(
 /// Combines exposures estimated from the pixels, which have an arbitrary common offset, with known exposures.
 struct Places<'a> {
     steps: &'a [f64],
-    /// For each accepted frame, its index in `steps` and the EV to add to its step. Where no frame is accepted, one
-    /// entry: the one with the median EV to add, among the frames with an exposure in EXIF, or among all frames where
-    /// EXIF has no exposures.
+    /// For each accepted frame, its index in `steps` and the EV to add to its step. If no frame is accepted, there is
+    /// one entry: that of the frame with the median EV to add, among the frames that have an exposure in EXIF, or among
+    /// all frames if none has one.
     known: Vec<(usize, f64)>,
 }
 

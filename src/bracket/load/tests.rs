@@ -110,7 +110,8 @@ fn exif_gives_exposure_and_capture() {
     assert_eq!(warnings, []);
     let frame = &bracket.frames()[0];
     assert_eq!((frame.exposure.time_s, frame.exposure.f_number, frame.exposure.iso), (Some(0.01), Some(8.0), None));
-    // 1/100 s is a third of a stop above 1/125 s, whose exact value is 1/128 s: 2^(-20/3) s. The f-number is 8.
+    // 1/100 s is a third of a stop above 1/125 s. The exact value of 1/125 s is 2^-7 s, so that of 1/100 s is 2^(-20/3)
+    // s. The f-number is 8.
     assert!((frame.exposure.relative() / (libm::exp2(-20.0 / 3.0) / 64.0) - 1.0).abs() < 1e-12);
     assert_eq!(frame.exposure.tags, "ExposureTime, FNumber");
     let wanted = Capture {
@@ -202,7 +203,7 @@ fn a_missing_f_number_is_assumed_with_a_warning() {
 }
 
 #[test]
-fn single_photographs_are_rejected() {
+fn invalid_list_of_files_is_an_error_that_names_the_fault() {
     let files = Files::new();
     let a = files.add("a.jpg", &shot(0.0, &[time(1, 100)]));
     let text = files.add("text.jpg", b"This is not a picture.\n");

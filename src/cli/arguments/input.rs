@@ -72,9 +72,10 @@ pub struct Work {
     #[arg(short, long, help_heading = OUTPUT)]
     pub force: bool,
 
-    /// Print only errors, and to stdout the names of the files written
+    /// Print no progress, summary or warnings, only errors and file names
     ///
-    /// Progress is shown only without this option, and only on a terminal
+    /// stdout is the same as without -q: the names of the files written, or JSON. Errors go to stderr. Without -q,
+    /// progress is shown if stderr is a terminal
     #[arg(short, long, help_heading = OUTPUT)]
     pub quiet: bool,
 }
@@ -85,12 +86,13 @@ Exit with code 3 if the result is degraded (may be inaccurate)
 
 A result is degraded if
 - a frame could not be aligned, or only with a confidence below 0.5
-- the transform of a frame was estimated from the other frames, and one of these moved
+- a frame was too dark or too bright to align, and the camera moved in other frames
 - the frames overlap by less than half, or two of them have the same pixels
 - the flash fired in some frames only, or the camera tone-mapped the frames locally
 - an exposure is missing, was estimated, or contradicts the pixels
 - the response could not be recovered, is of another camera, or contradicts the pixels
-- one of several brackets for a response could not be used, or is of another camera
+- `response`, `batch --shared-response`: a bracket could not be used for the response, or
+  is of another camera
 All files are written. Frames that the user excluded do not count";
 
 /// Limit on the size of images.
@@ -199,7 +201,9 @@ pub struct Results {
     #[arg(long, help_heading = OUTPUT, value_name = "FILE", value_parser = PathBufValueParser::new().try_map(report_file))]
     report: Option<PathBuf>,
 
-    /// Print the report as JSON to stdout instead of the file names
+    /// Print a JSON report for scripts instead of the names of the results
+    ///
+    /// It is printed to stdout; everything else goes to stderr
     #[arg(long, help_heading = OUTPUT)]
     pub json: bool,
 

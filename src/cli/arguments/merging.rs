@@ -56,16 +56,16 @@ pub struct Merging {
 
     /// Scale the radiance to cd/m2, computed from the exposure of the reference frame (accurate to about half a stop)
     ///
-    /// The largest pixel value of the reference frame stands for 87 N^2 / (t ISO) cd/m2 (N: f-number, t: exposure time
-    /// in s)
+    /// The largest possible pixel value (255, or 65535 with 16 bits) in the reference frame stands for 87 N^2 / (t ISO)
+    /// cd/m2 (N: f-number, t: exposure time in s)
     #[arg(long, hide_short_help = true)]
     absolute: bool,
 
     /// Multiply the radiance by X to get cd/m2
     ///
     /// With --absolute, X is a measured luminance divided by the luminance in the file, usually about 1. Without
-    /// --absolute, X is the luminance in cd/m2 that the value 1.0 stands for: 1.0 is the middle pixel value of the
-    /// reference frame
+    /// --absolute, X is the luminance in cd/m2 of light that has the middle pixel value (128 of 255) in the reference
+    /// frame (the value of this light is 1.0 without this option)
     #[arg(long, hide_short_help = true, value_name = "X", allow_negative_numbers = true)]
     calibration_factor: Option<f64>,
 

@@ -42,8 +42,8 @@ Exit codes:
   2  wrong usage
   3  some brackets done, others failed; or a photograph or folder could not be read, or the
      summary could not be written; with --strict also if a result is degraded
-Results of earlier runs count like those of this run. With --shared-response, responses count
-like brackets.
+Results of earlier runs count like those of this run. With --shared-response, the code is also 3
+if the response of a camera was recovered, but no bracket was merged.
 ";
 
 /// Returns a shared argument with its help for this command.
@@ -51,9 +51,9 @@ fn adapted(arg: clap::Arg) -> clap::Arg {
     let arg = match arg.get_id().as_str() {
         "ev" => arg.help("Set the exposures in EV, in the order in which the frames were taken").long_help(
             "Set the exposures in EV, in the order in which the frames were taken\n\n\
-                 With -e=-2,0,2 the first frame of each bracket is the darkest. Frames without a time are in \
-                 the order of their names. These exposures replace those in EXIF, and are used even if the brightness \
-                 of the photographs contradicts them",
+                 With -e=-2,0,2 the first frame of each bracket is the darkest. Frames without a time in EXIF \
+                 are in the order of their names. These exposures replace those in EXIF, and are used even if the \
+                 brightness of the photographs contradicts them",
         ),
         "force" => arg.help("Merge all brackets again; replace files that have the same names"),
         "threads" => arg.help("Set the total number of threads [default: one for each core]").long_help(
@@ -116,7 +116,7 @@ pub struct Args {
     #[command(flatten)]
     places: Places,
 
-    /// Print the summary as JSON to stdout instead of the file names
+    /// Print a JSON summary to stdout instead of the names of the results
     ///
     /// With --dry-run, print the brackets that were found. No effect with --plan and --run
     #[arg(long, help_heading = OUTPUT)]
@@ -173,8 +173,8 @@ struct Places {
 struct Finding {
     /// Expect exactly N photographs in each bracket
     ///
-    /// Photographs without an exposure in EXIF are then used too. Photographs without a time are in the order of their
-    /// names. Photographs that are left over are in no bracket
+    /// Photographs whose EXIF has no exposure are then used too. Photographs whose EXIF has no time are in the order of
+    /// their names. Photographs that are left over are in no bracket
     #[arg(long, value_name = "N")]
     bracket: Option<usize>,
 
@@ -312,7 +312,7 @@ impl Args {
         }
         for (i, format) in pictures.iter().enumerate() {
             if pictures[..i].contains(format) || formats.contains(format) {
-                let reason = format!("{format} is given twice, here or in --formats");
+                let reason = format!("{format} is given twice in --pictures, or also in --formats; give it once");
                 return twice("--pictures", reason);
             }
         }

@@ -78,7 +78,9 @@ pub struct Args {
     #[arg(long)]
     json: bool,
 
-    /// Print only errors, and to stdout the names of the files written
+    /// Print no summary or warnings, only errors and file names
+    ///
+    /// stdout is the same as without -q: the names of the files written, or JSON. Errors go to stderr
     #[arg(short, long)]
     quiet: bool,
 }

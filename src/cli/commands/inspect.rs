@@ -13,10 +13,11 @@ use std::process::ExitCode;
 
 const AFTER_HELP: &str = "\
 Files, for each photograph NAME:
-  NAME.threshold.png, NAME.exclusion.png   median threshold bitmap, and the pixels that are compared
+  NAME.threshold.png                       median threshold bitmap
+  NAME.exclusion.png                       white: pixels that are compared; black: excluded pixels
   NAME.keypoints.svg, .png                 keypoints of the photograph, of its bitmaps, or of both
   NAME.matches.svg, .png                   matches with the reference frame, inliers and outliers
-  NAME.xor.svg, .png                       plot of the differing pixels by rotation and shift
+  NAME.xor.svg, .png                       curves: how many pixels differ at each rotation and shift
   NAME.edges.svg, .png                     edges of frame and reference, before and after alignment
 and tables.txt, tables.json with exposures, keypoints, matches, transforms and bitmaps.
 
@@ -31,10 +32,14 @@ pub struct Args {
     aligned: Aligned,
 
     /// Set the folder for the files; it is created if it does not exist [default: FIRST-LAST.inspect beside the photographs]
+    ///
+    /// The folder that contains it must exist
     #[arg(short = 'd', long, help_heading = OUTPUT, value_name = "FOLDER")]
     folder: Option<PathBuf>,
 
-    /// Print the tables as JSON to stdout instead of the file names
+    /// Print the tables as JSON for scripts instead of the names of the files
+    ///
+    /// They are printed to stdout; everything else goes to stderr
     #[arg(long, help_heading = OUTPUT)]
     json: bool,
 

@@ -63,7 +63,9 @@ pub struct Args {
     #[arg(long, help_heading = OUTPUT, value_name = "FILE")]
     plot: Vec<PathBuf>,
 
-    /// Print a report as JSON to stdout instead of the file names
+    /// Print a JSON report for scripts instead of the names of the results
+    ///
+    /// It is printed to stdout; everything else goes to stderr
     #[arg(long, help_heading = OUTPUT)]
     json: bool,
 

@@ -17,8 +17,9 @@ use std::process::ExitCode;
 
 const AFTER_HELP: &str = "\
 The input may come from any program: .exr, .hdr, and .tif with floating-point (as from Photoshop)
-or LogLuv pixels. Invalid pixels are replaced, with a warning: NaN by black, infinity by the largest
-finite value, and colours with negative components by less saturated ones.
+or LogLuv pixels. Invalid pixels are changed, with a warning: NaN (not a number) becomes black,
+infinity becomes the largest finite value, and colours with negative components become less
+saturated.
 
 Examples:
   hdralign tonemap room.exr                           write room.png beside it
@@ -52,13 +53,16 @@ pub struct Args {
     #[arg(short, long, help_heading = OUTPUT)]
     force: bool,
 
-    /// Print a report as JSON to stdout instead of the file names
+    /// Print a JSON report for scripts instead of the names of the results
+    ///
+    /// It is printed to stdout; everything else goes to stderr
     #[arg(long, help_heading = OUTPUT)]
     json: bool,
 
-    /// Print only errors, and to stdout the names of the files written
+    /// Print no progress, summary or warnings, only errors and file names
     ///
-    /// Progress is shown only without this option, and only on a terminal
+    /// stdout is the same as without -q: the names of the files written, or JSON. Errors go to stderr. Without -q,
+    /// progress is shown if stderr is a terminal
     #[arg(short, long, help_heading = OUTPUT)]
     quiet: bool,
 

@@ -40,8 +40,8 @@ pub(in crate::inspect) fn draw(title: &str, curves: &XorCurves, placed: bool) ->
         Entry { mark: Mark::Patch, colour: FOUND, words: found.into() },
     ];
     let notes = format!(
-        "Of the pixels that count in both bitmaps, {:.2} % differ without motion and {:.2} % with the motion that is marked. Each curve \
-         varies one parameter and keeps the other two. Positions are rounded to whole pixels of the pyramid level.",
+        "{:.2} % of the compared pixels differ if the frame is not moved, and {:.2} % if it is moved as marked. Each curve \
+         varies one parameter and keeps the other two. Positions are rounded to whole pixels of the bitmaps.",
         100.0 * curves.before,
         100.0 * curves.after
     );

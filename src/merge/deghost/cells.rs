@@ -1,7 +1,8 @@
 //! Cells: the radiance of a frame on a coarse grid of the reference frame.
 //!
 //! In: a frame, its transform and the response. Out: the mean radiance of each cell and channel, and whether it is only
-//! a bound. Cost: one bilinear sample, which reads four pixels, for every block of 2 x 2 pixels.
+//! a bound. Cost: one bilinear sample, which reads four pixels, for every block of 2 x 2 pixels, but at most four for
+//! each cell.
 //!
 //! Means are of exposures, not of code values: the mean code value of an edge stands for a different exposure in every
 //! frame. In a cell with a clipped code value the mean is a lower bound, with a black one an upper bound.
@@ -52,7 +53,8 @@ impl Meaning {
     }
 }
 
-/// Returns the relative standard deviation for each step of radiance, from 0 to infinity.
+/// Returns the noise table of a channel: the relative standard deviation of each radiance from 0 to infinity, in steps
+/// given by [`SHIFT`].
 fn noise(radiance: &[f32; CODES]) -> Vec<f32> {
     (0..(f32::INFINITY.to_bits() >> SHIFT))
         .map(|step| {
@@ -102,9 +104,9 @@ impl Cell {
         self.flags & 7 != 0
     }
 
-    /// Returns this cell for a locally processed frame: radiance multiplied by `gain`, and outside the frame if a
-    /// channel is clipped. A phone leaves clipped pixels white whatever their surroundings, so after the gain their
-    /// radiance is no bound.
+    /// Returns this cell with its radiance multiplied by `gain`, for a locally processed frame. A cell with a clipped
+    /// channel is marked as outside the frame: a phone leaves clipped pixels white, whatever it does to their
+    /// surroundings, so after the gain their radiance is not even a lower bound.
     pub fn with_gain(self, gain: f32) -> Self {
         let outside = if self.clips() { OUTSIDE } else { 0 };
         Cell { radiance: self.radiance.map(|v| v * gain), flags: self.flags | outside, ..self }
@@ -143,7 +145,7 @@ pub fn average(layer: &Layer, region: Rect, side: usize, number: u16) -> Result<
 }
 
 /// Returns the positions of the blocks of 2x2 pixels that are read of a cell: all in cells of up to 4x4 pixels; four in
-/// larger cells, in other columns from row to row.
+/// larger cells, with the second row of blocks shifted to other columns.
 fn blocks(side: usize) -> Vec<(usize, usize)> {
     let (half, step) = (side / 2, (side / 4).max(1));
     let rows = (0..half).step_by(step).enumerate();

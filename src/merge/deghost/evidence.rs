@@ -11,17 +11,17 @@
 //! - the noise of both code values, through the slope of the response;
 //! - a share of the radiance: `LEAST`, because response and exposures are not known better, or, if it is larger, the
 //!   spread that is [usual](super::usual) in the bracket (the usual bias is divided out first). It is `SHIFTED` instead
-//!   of `LEAST` where a channel is clipped, because that channel is mixed into the others. To this is added `LEAST`
-//!   times the excess of the brightest channel over this one, because cameras and JPEG mix the channels differently at
-//!   each exposure;
+//!   of `LEAST` where a channel is clipped, because that channel is mixed into the others. To this share is added
+//!   `LEAST` times the excess of the brightest channel over the channel in question, because cameras and JPEG mix the
+//!   channels differently at each exposure;
 //! - the gradient times `ASTRAY` pixels, for errors of alignment and differences of sharpness at edges.
 //!
 //! A clipped or black cell is only a bound of the radiance, and differs only if the bound is violated. Differences are
 //! averaged over larger and larger cells, and the strongest scale decides how much a cell differs. A connected region
 //! of cells that differ by half of what is certain has moved in either of two cases:
 //!
-//! - a cell in it differs certainly, and the [structure](super::structure) differs there too, and the ratio of frame and
-//!   standard changes all along the border of the region;
+//! - a cell in it differs certainly, and the [structure](super::structure) differs there too, and the ratio of frame
+//!   and standard changes all along the border of the region;
 //! - its border is long, and the ratio changes half as much as is certain all along the border.
 
 use super::cells::{Cell, Meaning};
@@ -47,16 +47,18 @@ const ENOUGH: f32 = 8.0;
 /// Factor on the mean difference at each scale, from the smallest to the largest, because means over more cells vary
 /// less.
 const SCALES: [f32; 4] = [1.0, 1.2, 1.6, 2.0];
-/// Largest factor by which the mean over four times as many cells may exceed that of a cell: beside a moving object the
-/// larger mean includes the object.
+/// Largest factor by which the difference at one scale may exceed that at the next smaller scale: beside a moving
+/// object, the mean at the larger scale includes the object.
 const RAISE: f32 = 2.0;
 
 /// Smallest mean change of the ratio along the border of a region that moved, relative to the limit of a certain
-/// difference: at the default strength 1.2 standard deviations. On twelve rendered brackets the mean change is 1.3 to
-/// 11 around motion, and 0.6 to 1.1 around walls of another colour and where exposures are wrong.
+/// difference. At the default strength, this limit is 4 standard deviations, so the mean change must be at least 1.2
+/// standard deviations. On twelve rendered brackets the mean change is 1.3 to 11 around motion, and 0.6 to 1.1 around
+/// walls of another colour and where exposures are wrong.
 const EXPLAINED: f32 = 0.3;
-/// Smallest number of border cells of a region that may have moved without a cell that differs certainly. By chance the
-/// mean change over this many cells has a spread below a fifth, if ten neighbours count as one.
+/// Smallest number of border cells of a region that may have moved without a cell that differs certainly. If ten
+/// neighbours count as one cell, the mean change over this many cells varies by chance by less than 0.2 standard
+/// deviations.
 const LONG: usize = 100;
 
 /// The standard and a frame, and their usual ratio.
@@ -101,8 +103,8 @@ impl Pair<'_> {
         Channel { radiance: [a, b], noise: noise.map(|n| n * n), spread, mixed, is_within }
     }
 
-    /// Returns the difference of each cell from the standard, in standard deviations; positive if the frame is
-    /// brighter.
+    /// Returns by how many standard deviations each cell of the frame differs from the same cell of the standard, which
+    /// the frame is compared with; positive if the frame is brighter.
     fn differences(&self) -> Plane<[f32; 3]> {
         let (width, height) = (self.standard.width(), self.standard.height());
         let astray = (ASTRAY / self.side as f32) * (ASTRAY / self.side as f32);
@@ -311,7 +313,7 @@ mod tests {
                     sum += wx * wy / 256.0 * f64::from(at[1]);
                 }
             }
-            // Some ten roundings of values below 16.
+            // Rounding errors of some ten operations on values below 16.
             assert!((f64::from(fast.at(x as usize, y as usize)[1]) - sum).abs() < 1e-5);
         }
     }

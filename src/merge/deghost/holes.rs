@@ -25,7 +25,8 @@ pub(super) struct Holes {
     radiance: [Plane<f32>; 3],
     /// Weight of that radiance in each cell, times 255.
     counts: Plane<u8>,
-    /// For each channel, the radiance from which on the reference may be clipped, and from which on it is.
+    /// For each channel, the radiance from which on the reference may be clipped, and that from which on it is
+    /// certainly clipped.
     clips: [(f32, f32); 3],
 }
 
@@ -54,7 +55,7 @@ pub(super) struct Shorter {
 }
 
 impl Shorter {
-    /// Creates it from the reference, before shorter frames are added.
+    /// Creates the record from the cells of the reference; [`add`](Self::add) then adds the shorter frames.
     pub fn than(reference: &Plane<Cell>) -> Self {
         let of = |cell: &Cell| Known { radiance: cell.radiance, is_sure: !cell.clips(), ..Known::default() };
         let cells = reference.as_slice().iter().map(of).collect();

@@ -56,7 +56,7 @@ const LARGEST: usize = 8;
 const GAP: usize = 3;
 /// Margin around a motion mask, in cells, where edges are mixed with the background.
 const MARGIN: usize = 2;
-/// Width, in cells, of the zone around a motion mask that is mixed with the mask's edge.
+/// Width, in cells, of the zone around a motion mask in which cells still contain the edge of the moving object.
 const EDGE: usize = 1;
 /// Width of the soft border, in cells.
 const FADE: usize = 2;

@@ -38,7 +38,7 @@ fn taken(left: &mut Plane<bool>, at: (usize, usize)) -> Vec<(usize, usize)> {
     part
 }
 
-/// Whether a true cell of `plane` has a neighbour on a side that is false or outside.
+/// Whether a true cell of `plane` has a neighbour, left, right, above or below, that is false or outside of the plane.
 pub fn is_border(plane: &Plane<bool>, (x, y): (usize, usize)) -> bool {
     let is_inside = x > 0 && y > 0 && x + 1 < plane.width() && y + 1 < plane.height();
     !(is_inside && plane.at(x - 1, y) && plane.at(x + 1, y) && plane.at(x, y - 1) && plane.at(x, y + 1))
@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn hysteresis_keeps_only_values_beyond_reach() {
+    fn weight_is_zero_around_moved_cells_and_rises_beyond() {
         let mut plane = Plane::filled(40, 30, false);
         plane.row_mut(15)[20] = true;
         let kept = kept(&plane, 2, 2);

@@ -15,13 +15,13 @@ use crate::plane::Plane;
 /// Smallest change of the log ratio from one cell to the next that counts as a change, in octaves: half of the share of
 /// the radiance by which frames may differ even without motion.
 const LEAST: f32 = 0.04;
-/// If both frames show a change, they may differ by this fraction of it, because of response, sharpness and colour
-/// processing.
+/// If both frames show a change, the two changes may differ by this fraction of the smaller one, because of response,
+/// sharpness and colour processing.
 const COMMON: f32 = 0.35;
 /// Number of scales at which cells are compared: the cells themselves, and means of 2, 4 and 8 cells square.
 const SCALES: usize = 4;
-/// Number of the smaller scales that are averaged over the border of a difference: the cells of the largest scale are
-/// as large as many moving objects.
+/// Number of the smaller scales that are averaged over the border of a difference. The largest scale is left out,
+/// because many moving objects are as small as one of its cells.
 const SMALLER: usize = 3;
 /// Fraction of the variance that remains in the mean of four cells: between a quarter for independent cells and all
 /// for equal ones.

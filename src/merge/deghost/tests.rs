@@ -117,8 +117,8 @@ fn clipped_reference_is_continued_where_shorter_frames_show_motion() {
     let found = merged(&bracket, &alignment, Some(&ghosts));
     let scale = f64::from(found.at(20, 20)[1]) / sky(20, 20)[1];
     for (x, y) in [(120, 90), (110, 80), (135, 95), (98, 90), (142, 90)] {
-        // Tolerance: one of about 120 code values is 2 %, and radiance is continued from means over at most 64 pixels,
-        // over which the sky changes by a tenth in either direction.
+        // Tolerance: a difference of one code value is 2 % of the radiance at code value 120, and radiance is continued
+        // from means over at most 64 pixels, over which the sky changes by a tenth in either direction.
         let expected = scale * sky(x, y)[1];
         assert!(
             (f64::from(found.at(x, y)[1]) / expected - 1.0).abs() < 0.12,
@@ -151,8 +151,8 @@ fn continuation_has_the_surrounding_colour_without_seam() {
     let lit = found.at(10, 90);
     let share = |x: usize| [0, 1, 2].map(|c| found.at(x, 90)[c] / lit[c]);
     for x in 60..180 {
-        // Where the shadow's outer edge is brighter than the clipping level of the reference (a third of the sunlight
-        // in red), it is not motion and remains: at least half of the sunlight.
+        // The outer part of the shadow's edge is brighter than the clipping level of the reference, which is a third of
+        // the sunlight in red. So this part is not motion and remains; it has at least half of the sunlight.
         let [r, g, b] = share(x);
         assert!(r > 0.5 && (g / r - 1.0).abs() < 0.04 && (b / r - 1.0).abs() < 0.04, "{x}: {:?}", share(x));
         // The edge of the shadow rises by 0.04 per pixel.
@@ -368,7 +368,7 @@ fn of_large_cells_a_quarter_is_looked_at() {
 }
 
 #[test]
-fn white_balance_is_parsed_and_printed_as_typed() {
+fn strength_is_parsed_and_printed_as_typed() {
     for (text, expected) in [("auto", Deghost::Auto), ("off", Deghost::Off), ("0.25", Deghost::Strength(0.25))] {
         assert_eq!((text.parse(), expected.to_string().as_str()), (Ok(expected), text));
     }

@@ -1,8 +1,8 @@
 //! The usual difference between a frame and the standard where nothing moved.
 //!
-//! In: cells of the standard and of a frame. Out: for each channel and level of radiance the median of their ratio,
-//! which is the error of the response, and the spread of their ratio, due to noise and alignment. Cost: about 10 ns per
-//! cell.
+//! In: cells of the standard and of a frame. Out: for each channel and level of radiance, the median of the ratio of
+//! frame to standard, which is the error of the response, and the spread of this ratio, which is due to noise and
+//! alignment. Cost: about 10 ns per cell.
 
 use super::cells::Cell;
 use crate::plane::{Plane, fold_bands};
@@ -108,7 +108,7 @@ impl Usual {
     /// Returns bias and spread, interpolated between levels.
     #[inline]
     pub fn at(&self, c: usize, level: f32) -> (f32, f32) {
-        // The bin of a level contains values up to one level above it.
+        // Entry k of the tables is estimated from levels k to k + 1, so it is valid at their middle, k + 1/2.
         let level = (level - 0.5).max(0.0);
         let below = (level as usize).min(LEVELS - 2);
         let f = level - below as f32;

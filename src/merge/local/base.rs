@@ -86,8 +86,8 @@ pub(super) struct BaseCurve {
 }
 
 impl BaseCurve {
-    /// Returns the curve for which the scene's bases of `pairs` differ by the exposures. It is 0 everywhere if there
-    /// are too few pairs or all bases are equal.
+    /// Returns the curve that maps both bases of each pair to bases of the scene that differ by as many stops as the
+    /// exposures. The curve is 0 everywhere if there are too few pairs or all bases are equal.
     pub fn of(pairs: &[Pair]) -> BaseCurve {
         BaseCurve::recovered(pairs).unwrap_or(BaseCurve { low: 0.0, step: 1.0, lacks: [0.0; KNOTS] })
     }
@@ -117,7 +117,7 @@ impl BaseCurve {
         Some(curve)
     }
 
-    /// Returns the scene's base minus the frame's base, where the frame's base is `v`.
+    /// Looks up, for the value `v` of a frame's base, the value of the scene's base minus `v`.
     #[inline(always)]
     pub fn at(&self, v: f32) -> f32 {
         let along = (v - self.low) / self.step;

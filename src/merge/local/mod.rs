@@ -39,8 +39,9 @@ const CELLS: usize = 256;
 /// Weights of R, G and B in the luminance (Rec. 709) that determines the gain, which is the same for all channels.
 const LUMINANCE: [f32; 3] = crate::merge::radiance::statistics::BT709;
 /// A phone that brightens short exposures shows only a fraction of an exposure step in the pixels: the largest fraction
-/// assumed. If the sRGB curve gives a larger one, the curve has too many stops between two code values. Measured with
-/// truth.py: of 26 phone brackets with a curve close to sRGB's, 23 have a fraction of 0.46 to 0.58.
+/// assumed. If the sRGB curve gives a larger fraction, it has more stops between two code values than the curve of the
+/// phone. Measured with truth.py: of 26 phone brackets with a curve close to sRGB's, 23 have a fraction of 0.46 to
+/// 0.58.
 const MOST_FRACTION: f64 = 0.6;
 
 /// Factors for the radiance of each frame over a region of the reference frame.
@@ -100,8 +101,8 @@ pub fn curve(evidence: &Evidence) -> ResponseCurve {
 }
 
 /// Returns the number, 1 or more, by which the stops between the code values of sRGB are divided: the smallest with
-/// which no place appears brightened by more than the exposures differ, and the median place shows at most
-/// [`MOST_FRACTION`] of an exposure step.
+/// which no brightness level shows more than the full exposure step between two frames, and the median place shows at
+/// most [`MOST_FRACTION`] of the step.
 fn power(evidence: &Evidence) -> f64 {
     evidence.most_step_fraction.max(evidence.step_fraction / MOST_FRACTION).max(1.0)
 }
@@ -244,8 +245,8 @@ impl LocalGain {
         Photographed { shortest: photographed.shortest * libm::exp2(f64::from(lacks)), ..photographed }
     }
 
-    /// Returns the range of the gain of each frame except the reference, by rising exposure, over the cells that both
-    /// show.
+    /// Returns the range of the gain of each frame except the reference, by rising exposure, over the cells that are
+    /// known in the frame and in the reference.
     fn report(&self) -> Vec<LocalFrame> {
         let Some(reference) = self.frames.get(self.reference) else { return Vec::new() };
         let of = |frame: &Processed| {

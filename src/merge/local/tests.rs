@@ -148,9 +148,11 @@ fn curve_is_flattened_where_no_phone_could_have_kept_so_much() {
         ResponseCurve::srgb().ln_exposure(0)[250] / curve(&evidence).ln_exposure(0)[250]
     };
     assert!((steepness(0.5, 0.9) - 1.0).abs() < 1e-9);
-    // A place that seems to keep 1.6 steps can have kept at most one: the curve is 1.6 times as steep as sRGB's.
+    // A brightness level that shows 1.6 exposure steps under sRGB can have kept at most one: the curve is 1.6 times as
+    // steep as sRGB's.
     assert!((steepness(0.8, 1.6) - 1.6).abs() < 1e-9);
-    // No phone keeps a full step: the camera's curve must be steeper than sRGB's, although no place keeps more than a
-    // step.
+    // The median place of a phone's frames keeps at most 0.6 of an exposure step (`MOST_FRACTION`). If it shows a full
+    // step under sRGB, the curve is 1 / 0.6 times as steep as sRGB's, although no brightness level shows more than a
+    // full step.
     assert!((steepness(1.0, 1.0) - 1.0 / 0.6).abs() < 1e-9);
 }

@@ -5,8 +5,8 @@
 //! [`CAMERA_CONSTANT`]. ISO 12232:2019, section 6.2, derives 78 / 0.65 = 120 N^2 / (t S) for saturation-based speeds;
 //! without the half stop that it leaves for highlights, that is 85 N^2 / (t S).
 //!
-//! The largest code value of a frame with exposure time t in s, f-number N and sensitivity S (exact steps, corrected
-//! like the exposures of the merge) stands for
+//! The largest code value of a frame with exposure time t in s, f-number N and sensitivity S stands for the luminance L
+//! below. t, N and S are the exact steps that EXIF rounds, with the exposure correction of the merge.
 //!
 //! ```text
 //! L = 87 N^2 / (t S)  cd/m2
@@ -145,8 +145,10 @@ impl Calibration {
     }
 }
 
-/// Returns 87 N^2 / (t S) of `frame`, from its [relative exposure](crate::bracket::exposure::Exposure::relative), which
-/// has exact steps and is corrected, so that luminance does not depend on the choice of the reference frame.
+/// Returns 87 N^2 / (t S) of `frame`, where t S / N^2 is its [relative
+/// exposure](crate::bracket::exposure::Exposure::relative). Unlike the rounded values in EXIF, the relative exposure
+/// has exact steps and includes the correction from the pixels; so luminance does not depend on which frame is the
+/// reference.
 fn top_code_luminance(frame: &Frame) -> Result<f64> {
     let exposure = &frame.exposure;
     let known = [("exposure time", exposure.time_s), ("f-number", exposure.f_number), ("ISO", exposure.iso)];

@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn complete_jobs_are_not_run_again() {
+    fn same_space_is_unchanged_and_a_colour_without_luminance_is_black() {
         let same = map(vec![[0.1, 0.2, 0.3]], Primaries::DISPLAY_P3);
         assert_eq!(converted(same.clone(), Space::DisplayP3), (same, 0));
         assert_eq!(warning(0), None);

@@ -13,7 +13,8 @@ pub struct Photographed {
     /// Radiance at the middle code value of the longest exposure, which shows the shadows.
     pub longest: f64,
     /// Radiance at the middle code value of the shortest exposure, which shows the highlights. For locally processed
-    /// frames, at that of an exposure which would show the expanded highlights as bright as the shortest frame does.
+    /// frames: radiance at the middle code value of an exposure that would show the expanded highlights as bright as
+    /// they are in the shortest frame.
     pub shortest: f64,
     /// Displayed contrast below the middle code value, in stops per stop of the scene: 1 to 1.85. Cameras increase
     /// contrast, and with it saturation.
@@ -100,7 +101,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn json_is_read_back_exactly() {
+    fn comment_is_read_back_exactly_and_an_invalid_one_is_ignored() {
         let curve = ResponseCurve::srgb();
         let some = Photographed::of([0.3, 1.0 / 3.0, 7.0].into_iter(), 1.0 / 3.0, &curve).unwrap().times(0.1);
         assert_eq!((some.longest, some.shortest), (1.0 / 3.0 / 7.0 * 0.1, 1.0 / 3.0 / 0.3 * 0.1));

@@ -101,9 +101,9 @@ mod tests {
         [libm::exp2(x as f64 / 20.0 - 9.0); 3]
     }
 
-    /// By hand, for sRGB: code value 250 has 0.956 of the light of white, and code value 6 has 6 / 255 / 12.92 of it,
-    /// 9.04 stops less. The floor is found in steps of a sixteenth of a stop. Every stop between the shortest and the
-    /// longest exposure adds one.
+    /// By hand, for sRGB: code value 250 has 0.956 of the light of white, and code value 6 has 6 / 255 / 12.92 of the
+    /// light of white, which is 9.04 stops less. The floor is found in steps of a sixteenth of a stop. Every stop
+    /// between the shortest and the longest exposure adds one.
     #[test]
     fn range_is_that_of_a_frame_and_the_span_of_the_exposures() {
         let curve = ResponseCurve::srgb();
@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn missing_range_is_not_allocated() {
+    fn range_is_bounded_by_the_limits_and_by_the_content() {
         let limits = Limits { noise_floor: 0.01, clipping: 10.24 };
         let stops = |p0_1, p99_99| limits.stops(&Statistics { p0_1, p99_99, ..Statistics::default() });
         assert!((stops(1e-6, 1e6) - 10.0).abs() < 1e-6, "bounded by noise and by clipping");
@@ -131,7 +131,7 @@ mod tests {
     /// Linear code values of 16 bits. With a noise of 2 (of 255), code value 250 is log2(250 / 2) = 6.97 stops above
     /// the noise. With a noise of 0.02, the range ends at the radiance of code value 0.
     #[test]
-    fn averaged_codes_keep_fractions_within_their_noise() {
+    fn range_of_16_bit_frames_is_limited_by_noise_or_by_the_response() {
         let noisy = |time: f64, sigma: f64| {
             let mut state = 1u64;
             // SplitMix64.

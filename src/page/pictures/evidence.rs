@@ -27,8 +27,8 @@ const LEAST_OVERLAY: usize = 360;
 const EDGES: u8 = 58;
 /// Largest number of lines between matches; more lines would hide each other.
 const LINES: usize = 120;
-/// Units of a drawing of keypoints or matches per pixel of its photograph; two, so that half a pixel can be
-/// distinguished.
+/// Resolution of drawings of keypoints and matches: number of drawing units per pixel of the photograph. With two
+/// units, half a pixel can be distinguished.
 const UNITS: usize = 2;
 
 /// Colours (red, green, blue, opacity) of the dark, bright and excluded pixels of a bitmap.

@@ -197,8 +197,8 @@ fn curves(xor: &Xor, frame: &FrameReport) -> String {
     };
     format!(
         "<figure class=\"plots\">\n<div class=\"row\">{angle}{dx}{dy}</div>\n<figcaption><b>Bitmap difference, plotted over \
-         rotation and shift.</b> Of the pixels that count in both bitmaps {} differ before alignment and {} with {about} \
-         (dashed line). Each curve varies one parameter and keeps the other two. A sharp minimum at the line confirms \
+         rotation and shift.</b> {} of the compared pixels differ before alignment, and {} with {about} (dashed \
+         line). Each curve varies one parameter and keeps the other two. A sharp minimum at the line confirms \
          the alignment. Check the frame if the curve is flat or has its minimum elsewhere.</figcaption>\n</figure>\n",
         percent(xor.before),
         percent(xor.after)

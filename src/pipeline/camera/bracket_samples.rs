@@ -25,8 +25,8 @@ pub(super) struct BracketSamples {
     pub path: PathBuf,
     pub capture: Capture,
     pub places: Places,
-    /// Pixels from which the loss by formats that do not represent a curve exactly is computed; `None` if there are no
-    /// such files.
+    /// Pixels for measuring the error of response files whose format stores a curve only approximately; `None` if no
+    /// such file is written.
     pub miniature: Option<Miniature>,
     pub report: BracketReport,
 }

@@ -265,7 +265,9 @@ impl<'a> Run<'a> {
 /// Returns the metadata of a result that shows `frame`.
 pub(super) fn metadata(frame: &Frame, photographed: Option<Photographed>, options: &Options) -> Metadata {
     let cd_m2_per_unit = options.calibration.is_asked().then_some(Factor::ONE);
-    let unit = |exposure| format!("radiance 1 is the middle code at t ISO / N^2 = {exposure} s");
+    let unit = |exposure| {
+        format!("radiance 1.0 gives the middle pixel value (128 of 255) at an exposure t ISO / N^2 of {exposure} s")
+    };
     let photographed = photographed.map(|photographed| photographed.to_string());
     let comments = options.unit_exposure.map(unit).into_iter().chain(photographed).collect();
     Metadata { cd_m2_per_unit, comments, ..Metadata::of(frame) }

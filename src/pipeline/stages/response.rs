@@ -65,7 +65,7 @@ pub(crate) fn find(
         }
         Some(saved) => {
             let path = options.response_file.as_deref().unwrap_or(Path::new(""));
-            warnings.extend(differing_response(path, &saved, &bracket.reference().capture));
+            warnings.extend(differing_response(path, &saved, &bracket.reference().capture, is_local));
             warnings.extend(contradicted_response(path, &saved.curve, &places, is_local)?);
             (saved.curve, ResponseReport { model: "file", ..ResponseReport::default() })
         }
@@ -82,10 +82,11 @@ pub(crate) fn find(
 
 /// Returns a warning if the response `saved` in the file `path` is of another camera than `capture`; `None` if one of
 /// the two cameras is not known.
-fn differing_response(path: &Path, saved: &SavedResponse, capture: &Capture) -> Option<Warning> {
+fn differing_response(path: &Path, saved: &SavedResponse, capture: &Capture, is_local: bool) -> Option<Warning> {
     let found = saved.camera()?;
     let kept = capture.camera()?;
-    let detail = format!("is the response of {found}, but the photographs were taken with {kept}");
+    let remedy = remedy(is_local);
+    let detail = format!("is the response of {found}, but the photographs were taken with {kept}; {remedy}");
     (found != kept).then(|| Warning::ResponseDoubtful { path: path.to_owned(), detail })
 }
 
@@ -97,19 +98,29 @@ fn contradicted_response(
     is_local: bool,
 ) -> Result<Option<Warning>> {
     let warning = |(found, own)| {
+        let remedy = remedy(is_local);
         let detail = match is_local {
             true => format!(
-                "the frames are locally processed: they contradict this response by {found:.2} stops, and no other response fits them"
+                "does not fit the frames (error {found:.2} stops), and no other response does, because the frames are \
+                 locally processed; {remedy}"
             ),
-            false => {
-                format!(
-                    "the frames contradict this response by {found:.2} stops, but they contradict a response recovered from them by only {own:.2} stops"
-                )
-            }
+            false => format!(
+                "does not fit the frames (error {found:.2} stops); a response recovered from the frames fits better \
+                 (error {own:.2} stops); {remedy}"
+            ),
         };
         Warning::ResponseDoubtful { path: path.to_owned(), detail }
     };
     Ok(response::contradiction(curve, places)?.map(warning))
+}
+
+/// Returns what to do if a response file does not fit the photographs. From locally processed frames no response can be
+/// recovered.
+fn remedy(is_local: bool) -> &'static str {
+    match is_local {
+        true => "omit --response or --shared-response, so that the local processing is undone",
+        false => "recover the response of the photographs with `hdralign response`, or omit --response",
+    }
 }
 
 /// Returns the evidence of local processing from `places` of `bracket`. `None` if the user gives a curve, and if

@@ -14,8 +14,8 @@
 //! ```
 //!
 //! Values are relative exposures with nine decimals, 1 at the brightest code. Other programs write 0 for black codes;
-//! these are read as code 0 of the built-in curves. If a matrix has more than 256 rows, 256 evenly spaced ones are
-//! used.
+//! when read, exposures of 0 are replaced by values that rise from a quarter of the first positive exposure, the same
+//! ratio as at code 0 of the built-in curves. If a matrix has more than 256 rows, 256 evenly spaced ones are used.
 
 use crate::response::fit::monotone;
 use crate::response::{BLACK, CODES, MID, ResponseCurve};
@@ -63,7 +63,7 @@ pub(crate) fn read(text: &str) -> Result<ResponseCurve, String> {
         _ => {
             let columns: Vec<String> = curves.iter().map(|m| m.columns.to_string()).collect();
             return Err(format!(
-                "it has matrices of {} columns; supported are one of 7 (luminance-hdr) and three of 3 (pfstools)",
+                "its matrices have {} columns; one matrix with 7 columns (luminance-hdr) or three matrices with 3 columns (pfstools) are supported",
                 columns.join(", ")
             ));
         }
@@ -155,7 +155,7 @@ mod tests {
     fn a_curve_comes_back_to_the_last_decimal() {
         let (curve, text) = (curve(), write(&curve()));
         let back = read(&text).unwrap();
-        // Reading shifts the mean of the three at the middle code to 0.
+        // Reading shifts the mean of the three channels at the middle code to 0.
         let mid = (0..3).map(|c| curve.ln_exposure(c)[MID]).sum::<f64>() / 3.0;
         for (c, z) in (0..3).flat_map(|c| (0..CODES).map(move |z| (c, z))) {
             let (was, is) = (curve.ln_exposure(c)[z] - mid, back.ln_exposure(c)[z]);

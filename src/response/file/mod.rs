@@ -82,8 +82,8 @@ impl Loss {
     /// Returns a warning about the accuracy lost by writing the file `path`, if there is any.
     ///
     /// # Errors
-    /// [`Error::ResponseFormat`] if half a stop is lost, which is also the largest contradiction between a curve and
-    /// the frames.
+    /// [`Error::ResponseFormat`] if more than half a stop is lost, which is also the largest contradiction between a
+    /// curve and the frames.
     pub fn warning(&self, path: &Path) -> Result<Option<Warning>> {
         let [red, green, blue] = self.channel_stops;
         let off = format!(
@@ -92,10 +92,8 @@ impl Loss {
         );
         let most = self.channel_stops.into_iter().fold(self.luminance_stops, f64::max);
         if most > RESIDUAL {
-            let reason = format!(
-                "the format cannot represent this curve: radiance that is merged with this response file would be {off}; save the response as .json"
-            );
-            return Err(Error::ResponseFile { path: path.to_owned(), reason });
+            let reason = format!("radiance merged with this file would be {off}");
+            return Err(Error::ResponseFormat { path: path.to_owned(), reason });
         }
         let detail = format!("radiance merged with this file is {off}; .json saves the curve exactly");
         Ok((most > LOSS).then(|| Warning::OutOfRange { path: path.to_owned(), detail }))

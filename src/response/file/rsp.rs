@@ -11,9 +11,9 @@
 //! 3 1.19 -0.35 0.16 0.0018
 //! ```
 //!
-//! Such a polynomial cannot represent every curve of 256 values. Of the polynomials of degree up to 5 that are positive
-//! and increase at every code, the one with the smallest residual is written. The caller finds the loss by reading the
-//! text again.
+//! Such a polynomial cannot represent every curve of 256 values. For each degree from 1 to 5, a polynomial that is
+//! positive and increases at every code is fitted, and the one with the smallest residual is written. The caller finds
+//! the loss by reading the text again.
 
 use crate::response::{CODES, MID, ResponseCurve, hat, stops};
 use nalgebra::{DMatrix, DVector};
@@ -176,8 +176,8 @@ fn evaluate(coefficients: &[f64], x: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Returns the root mean square over codes 10..=245 of the difference between two curves after one shift for all
-    /// channels, in stops.
+    /// Returns the root mean square difference of two curves in stops, over codes 10..=245 of all channels, after one
+    /// curve is shifted by the constant that makes the difference smallest.
     fn difference(a: &ResponseCurve, b: &ResponseCurve) -> f64 {
         let d: Vec<f64> = (0..3)
             .flat_map(|c| JUDGED.map(move |z| (c, z)))

@@ -24,8 +24,8 @@ const SPAN: f64 = 96.0;
 /// Smallest range of exposures, first to last, in stops.
 const STEP: f64 = 0.3;
 /// Largest condition of a least-squares problem; above it, the solution is noise: singular values below 1e-5 of the
-/// largest count as 0. Codes are accurate to about 1e-3, and this much of it would remain in directions that they do
-/// not determine. Brackets have about 1e2 to 1e4.
+/// largest count as 0. Codes have errors of about 1e-3, which leave singular values of up to about 1e-5 of the largest,
+/// instead of 0, in directions that the codes do not determine. Brackets have about 1e2 to 1e4.
 const CONDITION: f64 = 1e5;
 /// Range of stops from code 16 to code 240 that a camera may have: the sRGB curve has 7.4, a linear one 3.9, a scan
 /// of print film 10.
@@ -225,7 +225,8 @@ pub mod scene {
         (0..count).map(place).filter(|s| s.views.len() >= 2).collect()
     }
 
-    /// Returns the root mean square over codes 10..=245 of the difference between two curves after a shift, in stops.
+    /// Returns the root mean square difference in stops, over codes 10..=245, between `g` and the logarithm of
+    /// `exposure`, after `g` is shifted by the constant that makes the difference smallest.
     pub fn difference(g: &[f64; CODES], exposure: impl Fn(f64) -> f64) -> f64 {
         difference_from(10, g, exposure)
     }

@@ -68,8 +68,8 @@ fn a_common_factor_and_a_common_power_are_kept_as_written() {
     assert_eq!(free_directions(&[0.0, 1.0, 3.0]).len(), 1);
 }
 
-/// The expected result is from normal equations without the elimination of ln E, of the splines, and without the
-/// separate projection: all unknowns are in one dense system.
+/// The expected result is from one dense system of normal equations with all unknowns: neither ln E nor the splines are
+/// eliminated, and there is no separate projection.
 #[test]
 fn elimination_gives_the_solution_of_the_whole_system() {
     let written = [-3.0, -1.4, 0.0, 1.6];
@@ -160,7 +160,7 @@ fn a_bracket_is_corrected_within_bounds_but_not_against_the_user() {
     // The places have the corrected exposures: there is nothing left to correct.
     assert!(corrections(&tuned, &places).0.iter().all(|c| c.stops == 0.0));
     let ev: Vec<f64> = tuned.frames().iter().map(|f| f.exposure.ev()).collect();
-    // Twice the second step minus both its neighbours is 0 for three equal steps, for any common power.
+    // Twice the second exposure step minus the first and the third is 0 for three equal steps, for any common power.
     assert!((ev[0] - 3.0 * ev[1] + 3.0 * ev[2] - ev[3]).abs() < 0.03, "{ev:?}");
     assert!(warnings.is_empty() && tuned.frames()[1].exposure.correction_stops() > 0.05);
 

@@ -13,9 +13,9 @@ use crate::tonemap::display::codes::{Code, Colours, Encoder};
 use crate::tonemap::display::oklab;
 use crate::tonemap::display::{ToSrgb, luminance};
 
-/// Change of shadows and highlights at [`MOST`], in stops, in the darkest and the brightest surroundings. It is small
-/// enough that opposite settings never make a dark surface brighter than a bright one (the remaining slope in the
-/// middle tones is 0.31).
+/// Change of the log odds by shadows and highlights at [`MOST`], in the darkest and the brightest surroundings. In the
+/// dark these are stops. It is small enough that opposite settings never make a dark surface brighter than a bright one
+/// (the remaining slope in the middle tones is 0.31).
 const LOCAL_STOPS: f64 = 2.0;
 
 /// Smallest distance of a luminance from black and from white: 2^-24, the spacing of floats just below 1.
@@ -37,9 +37,9 @@ pub struct Adjusted {
     middle: f32,
     /// Factor on chroma.
     saturation: f32,
-    /// Change in stops in the darkest surroundings.
+    /// Change of the log odds in the darkest surroundings.
     shadows: f32,
-    /// Change in stops in the brightest surroundings.
+    /// Change of the log odds in the brightest surroundings.
     highlights: f32,
     surroundings: Option<Surroundings>,
 }

@@ -36,7 +36,7 @@ pub struct Options {
     pub saturation: f64,
     /// -100 to 100: at 100 the darkest surroundings are two stops brighter, at -100 two stops darker.
     pub shadows: f64,
-    /// -100 to 100: at 100 the brightest surroundings are two stops brighter, at -100 two stops darker.
+    /// -100 to 100: at 100 the log odds of the brightest surroundings are greater by 2, at -100 less by 2.
     pub highlights: f64,
 }
 

@@ -16,12 +16,12 @@ use crate::tonemap::overview::Scene;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Percentiles below and above which cells are ignored: too dark to have a reliable colour; lamps, windows and clipped
-/// parts.
+/// Percentiles of luminance between which cells are used. Cells below are too dark to have a reliable colour; cells
+/// above are lamps, windows and clipped parts.
 const ENDS: (f64, f64) = (0.05, 0.95);
-/// Fraction of the way from the white of the photographs to the mean colour that white moves, in reciprocal temperature
-/// and in tint. Cameras have balanced already, and no scene is exactly grey on average. Chosen by eye on four
-/// photographed brackets, in which lamp light stays warm.
+/// White moves by this fraction of the way from the white of the photographs to the mean colour, in reciprocal
+/// temperature and in tint. Cameras have balanced already, and no scene is exactly grey on average. Chosen by eye on
+/// four photographed brackets, in which lamp light stays warm.
 const SHARE: f64 = 0.6;
 
 /// Returns the light to show as white in `scene`; `None` when the mean is not the colour of a light.
@@ -140,7 +140,7 @@ impl Spot {
     }
 }
 
-/// Values above this share of the largest count as equal to it, to allow for rounding.
+/// Values above this share of the largest value are treated as equal to the largest, to allow for rounding.
 const PLATEAU: f32 = 0.999;
 /// The largest value counts as clipped, and not as the surface of an even picture, when it exceeds the mean by this
 /// factor.

@@ -106,7 +106,7 @@ const PIECES: usize = 4096;
 struct Tables {
     /// The 8-bit code value at the lower edge of every cell.
     base: Vec<u8>,
-    /// For each 8-bit code value, the linear light at which the next one begins.
+    /// For each 8-bit code value, the linear light at which the next code value begins.
     next: [f32; 256],
     /// The unrounded 16-bit code value at the lower edge of every cell, and at the upper edge of the last.
     fine: Vec<f32>,
@@ -120,7 +120,8 @@ impl Tables {
         let mut next = [f32::INFINITY; 256];
         for (code, begin) in next.iter_mut().enumerate().take(255) {
             let exact = colours.light((code as f64 + 0.5) / 255.0);
-            // The first float at or above, so that comparing floats gives the same as comparing exact numbers.
+            // The first float that is not below `exact`, so that comparing floats gives the same as comparing exact
+            // numbers.
             let nearest = exact as f32;
             *begin = if f64::from(nearest) < exact { nearest.next_up() } else { nearest };
         }

@@ -86,7 +86,7 @@ pub(crate) struct Shown<const N: usize> {
     pub light: [f32; N],
     /// Luminance on the display, 0..=1.
     pub display: [f32; N],
-    /// Factor on the chroma that the scene has at that luminance.
+    /// Factor on the chroma that the colour of the scene has at the luminance `display`.
     pub share: [f32; N],
     /// Rotation of hue in radians, from red towards yellow; small.
     pub turn: [f32; N],

@@ -90,8 +90,8 @@ const MOST_EXPOSURES: usize = 16;
 
 /// Shares of the cells of the fused picture that become black, and white.
 const ENDS: (f64, f64) = (0.005, 0.003);
-/// Code value of black as a share of that of the dark end of the fused picture, and the largest code value (0 to 1)
-/// that the dark end counts as.
+/// Code value of black as a share of that of the dark end of the fused picture, and the code value (0 to 1) to which
+/// that of the dark end is limited.
 const BLACK: (f32, f32) = (0.5, 0.15);
 /// Smallest code value (0 to 1) of white.
 const WHITE: f32 = 0.8;
@@ -184,8 +184,8 @@ const MOST_TURN: (f32, f32) = (0.157, 0.436);
 /// Chroma at or below which a colour counts as grey.
 const GREY: f32 = 1e-3;
 
-/// Returns the exposures to compute, rising: each is log2 of the factor on luminance after which luminance 1 has the
-/// middle code value.
+/// Returns the exposures to compute, rising: each is log2 of a factor on luminance. A luminance that becomes 1 by this
+/// factor has the middle code value.
 fn exposures(scene: &Scene, photograph: &Photograph) -> Vec<f64> {
     let shows = |(code, part): (f64, f64)| photograph.stop(code) - scene.percentile(part);
     let (lights, shadows) = (shows(LIGHTS), shows(SHADOWS));

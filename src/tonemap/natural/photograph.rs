@@ -157,8 +157,8 @@ mod tests {
             let photograph = Photograph::new(contrast, white_stops);
             let code = |stop: f64| f64::from(photograph.code(stop as f32));
             assert!((code(0.0) - 128.0 / 255.0).abs() < 1e-4);
-            // White lies within a segment of the table, in which linear interpolation is off by up to 0.02 of the range
-            // of codes.
+            // The curve has a corner at white, within a segment of the table over which the code rises by up to 0.02.
+            // Linear interpolation cuts the corner by at most a quarter of this.
             assert!((code(white_stops) - 1.0).abs() < 6e-3 && code(white_stops + 1.0) > 0.9999);
             let light = |code: f64| libm::log2(srgb_to_linear(code / 255.0));
             let slope = (light(128.0) - light(24.0)) / (photograph.stop(128.0 / 255.0) - photograph.stop(24.0 / 255.0));

@@ -46,7 +46,7 @@ impl Options {
                 "alpha",
                 (0.01, 3.0),
                 &mut self.alpha,
-                "gradient that stays unchanged, relative to the mean",
+                "gradients (edges) this strong are kept, stronger ones are weakened; 1 is the mean",
             ),
             Setting::number("beta", (0.6, 1.0), &mut self.beta, "exponent of gradients above alpha, at every scale"),
             Setting::number(

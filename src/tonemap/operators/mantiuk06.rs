@@ -282,7 +282,7 @@ mod tests {
         a.as_slice().iter().zip(b.as_slice()).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
     }
 
-    /// The slope of the response is the reciprocal of the discrimination threshold, and `inverse` is its inverse.
+    /// The slope of `response` is 1 / (discrimination threshold), and `inverse` is the inverse function of `response`.
     #[test]
     fn the_response_counts_differences_that_are_just_seen() {
         assert!((least_difference(0.999_999 * BEND) - FACTOR * BEND.powf(POWER)).abs() < 1e-7, "no step at the bend");

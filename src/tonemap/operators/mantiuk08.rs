@@ -244,9 +244,9 @@ fn bridged(contrasts: &[Contrasts], nodes: &Nodes) -> Vec<Contrasts> {
     all
 }
 
-/// Returns the log10 range of the display that each piece gets (section 3): the ranges for which the eye's responses to
-/// contrasts on the display are nearest to its responses to the contrasts of the scene. Responses are linearised around
-/// the last solution until it converges.
+/// Returns, for each piece of the tone curve, its share of the display's log10 range (section 3). With these shares,
+/// the eye's responses to the contrasts on the display are nearest to its responses to the contrasts of the scene.
+/// Responses are linearised around the last solution until it converges.
 fn curve(contrasts: &[Contrasts], nodes: &Nodes, display: &Display, enhanced: f64) -> Vec<f64> {
     let n = nodes.pieces;
     let frequency = |band: usize| 0.5 * PIXELS_PER_DEGREE / f64::from(1u32 << band);

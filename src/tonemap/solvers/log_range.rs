@@ -48,7 +48,8 @@ impl LogRange {
         let mut sorted = tones.as_slice().to_vec();
         sorted.sort_unstable_by(f32::total_cmp);
         let last = sorted.len() - 1;
-        // Nearest rank: a share of the tones is clipped, while `quantile` would keep one value at each end.
+        // By nearest rank: in a small picture the share that is clipped may be 0, while `quantile` would clip at least
+        // one value at each end.
         let at = |p: f64| sorted[((last as f64 * p).round() as usize).min(last)];
         let (black, white) = (at(CLIPPED.0), at(1.0 - CLIPPED.1));
         let range = scene.percentile(1.0 - CLIPPED.1) - scene.percentile(CLIPPED.0);

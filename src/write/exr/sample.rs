@@ -13,7 +13,8 @@ pub enum Sample {
     /// half, or float if the radiance needs more range or precision.
     #[default]
     Auto,
-    /// 16-bit floats: values up to 65504, rounded by at most 1/2048 of the value, below 6e-5 by more.
+    /// 16-bit floats: values up to 65504. Rounding changes a value by at most 1/2048 of it; values below 0.00006 are
+    /// less exact.
     Half,
     /// 32-bit floats: exactly as merged.
     Float,

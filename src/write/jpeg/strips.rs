@@ -39,7 +39,8 @@ impl Strip {
         let (columns, rows) = (side(width)?, side(pixels.len() / width.max(1))?);
         encoder.encode(pixels.as_flattened(), columns, rows, ColorType::Rgb).map_err(io::Error::other)?;
         let mut tables = Vec::new();
-        let start = scan(&bytes, &mut tables).ok_or_else(|| io::Error::other("the encoder wrote no scan"))?;
+        let start = scan(&bytes, &mut tables)
+            .ok_or_else(|| io::Error::other("internal error: the JPEG encoder wrote no image data"))?;
         // The end marker follows the data.
         let data = start..bytes.len().saturating_sub(2).max(start);
         Ok(Strip { bytes, tables, data })

@@ -42,8 +42,8 @@ pub(super) fn index(first: usize, second: usize, offset: usize) -> io::Result<Ve
     Ok(out)
 }
 
-/// Returns the parameters of `rendition` as in ISO 21496-1, after the version: the same for all channels, in the
-/// picture's primaries.
+/// Returns the bytes that follow the version field in the metadata of ISO 21496-1: the parameters of `rendition`. All
+/// channels share them, and the gain map applies in the picture's primaries.
 pub(super) fn iso_numbers(rendition: &Rendition) -> Vec<u8> {
     const IN_BASE_SPACE: u8 = 0x40;
     // The numbers are multiples of 1/1024 within +-16: the cast is exact.

@@ -199,7 +199,11 @@ fn put_together(base: Strips, map: Option<Map>, mut segments: Vec<u8>) -> io::Re
     let offset = first_size - index_at;
     put_segment(APP2, &[MPF, &index(first_size, second_size, offset)?], &mut segments)?;
     let mut parts = Vec::from(base.end(&segments)?);
-    debug_assert_eq!(parts[0].len() + parts[1].len(), first_size, "the index contains the size of the first image");
+    debug_assert_eq!(
+        parts[0].len() + parts[1].len(),
+        first_size,
+        "the size of the first image differs from that in the index"
+    );
     parts.extend(second);
     Ok(parts)
 }

@@ -190,7 +190,7 @@ mod tests {
         assert_eq!((sweep(dir.path()), sweep(&at("nowhere"))), (0, 0));
     }
 
-    /// Sweeps that run continuously remove no file from threads that create them.
+    /// A sweep that is repeated all the time does not remove the files of claims that other threads are just making.
     #[test]
     fn claims_made_during_a_sweep_are_kept() {
         let dir = tempfile::tempdir().unwrap();

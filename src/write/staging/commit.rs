@@ -218,7 +218,11 @@ impl<'a> Renamed<'a> {
             Err(error) if overwrite && error.kind() == io::ErrorKind::AlreadyExists => {
                 // Two targets may be the same file, as on a case-insensitive file system.
                 if let Some(other) = identity(target).and_then(|file| self.all.get(&file)) {
-                    let reason = format!("{} is the same file there; choose another name", other.display());
+                    let reason = format!(
+                        "it is the same file as {}, another result (the names may differ only in upper and lower case, \
+                         or by a link); choose another name",
+                        other.display()
+                    );
                     return Err(write_error(target, io::Error::new(io::ErrorKind::InvalidInput, reason)));
                 }
                 file.rename_over(state, target).map_err(failed)?;
@@ -302,7 +306,7 @@ mod tests {
         std::os::unix::fs::symlink(&folder, dir.path().join("alias")).unwrap();
         let (a, b) = (folder.join("a.exr"), dir.path().join("alias/a.exr"));
         let error = commit(vec![pending(&a, "one"), pending(&b, "two")], true).unwrap_err().to_string();
-        assert!(error.contains("alias/a.exr") && error.contains("folder/a.exr is the same file there"), "{error}");
+        assert!(error.contains("alias/a.exr") && error.contains("folder/a.exr, another result"), "{error}");
         assert_eq!(names(&folder).len(), 0);
     }
 

@@ -147,7 +147,7 @@ fn a_large_picture_is_searched_at_half_its_size() {
 }
 
 #[test]
-fn static_bracket_has_no_ghosts_at_all() {
+fn unmoved_pair_has_no_motion() {
     let (a, b) = pair((384, 256), &Transform::Identity);
     let result = search(&a, &b, 0, &MtbOptions::default());
     assert_eq!(result.motion, Motion::default());

@@ -1,9 +1,10 @@
 //! LMedS: the homography with the least median of squared distances.
 //!
 //! In: pairs of points, fewer than half of them wrong. Out: a [`Consensus`], or none. Cost: one fit and one pass over
-//! the pairs per trial; about 140 trials for a confidence of 0.9999, several times that for fewer than ten pairs.
-//! Source: Rousseeuw, "Least Median of Squares Regression", JASA 79(388), 1984; the scale from the median and the refit
-//! are from Rousseeuw & Leroy (Robust Regression and Outlier Detection, 1987, chapter 5).
+//! the pairs per trial; for a confidence of 0.9999 these are 120 to 150 trials for an even number of pairs and for more
+//! than 50, up to 320 for a smaller odd number, and the maximum for five. Source: Rousseeuw, "Least Median of Squares
+//! Regression", JASA 79(388), 1984; the scale from the median and the refit are from Rousseeuw & Leroy (Robust
+//! Regression and Outlier Detection, 1987, chapter 5).
 //!
 //! Unlike RANSAC it needs no threshold, as the median measures the scatter of the inliers. It finds nothing if more
 //! than half of the pairs are wrong.

@@ -157,7 +157,8 @@ fn find_in_row(integral: &Integral, three: &[Responses], y: usize, options: &Sur
         if !is_maximum {
             continue;
         }
-        // Keeps only a maximum between the samples that is at most one sample away in each direction.
+        // Interpolates the position of the maximum between the samples, and drops the maximum if this position is more
+        // than one sample away from the sampled maximum in any direction.
         let near = interpolation::extremum(|dx, dy, ds| at(dx, dy, ds).into())
             .filter(|(offset, _)| offset.iter().all(|o| o.abs() <= 1.0));
         if let Some((offset, determinant)) = near {

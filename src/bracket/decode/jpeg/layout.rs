@@ -141,9 +141,9 @@ impl Layout {
     pub fn is_beyond_zune(&self) -> bool {
         let size = [self.size.0, self.size.1];
         let is_finer_than_first = |own: &[u8; 2]| (0..2).any(|axis| own[axis] > self.sampling[0][axis]);
-        // Of the two pixels that a sample at half the resolution covers, only the second is interpolated with the next
-        // sample. The last sample has a second pixel where the number of pixels is even, and a next sample, which is
-        // padding, where the picture does not fill its last MCU.
+        // A sample at half the resolution covers two pixels, of which only the second is interpolated with the next
+        // sample. The last sample of a row or column covers two pixels if the number of pixels is even; its next sample
+        // is padding if the picture does not fill the last MCU.
         let is_mixed_with_padding = |axis: usize| {
             let finest = self.finest(axis);
             let is_padded = size[axis].is_multiple_of(2) && !size[axis].is_multiple_of(8 * usize::from(finest));

@@ -28,8 +28,8 @@ fn frame_header(bytes: &[u8]) -> usize {
 fn jpeg_with_coarse_chroma_is_not_mixed_with_the_padding_behind_it() {
     let (inside, behind) = ([200, 60, 40], [20, 90, 250]);
     for (factors, progressive) in [((2, 2), false), ((2, 1), false), ((1, 2), false), ((2, 2), true)] {
-        // Sizes for which ceil(size / 8) is the number of stored blocks, because scans of a single component contain no
-        // other blocks.
+        // The header is changed below from the padded size to a smaller one. Scans of a single component contain only
+        // ceil(size / 8) blocks per axis, so this number must be equal for both sizes.
         for (width, height) in [(26_usize, 26_usize), (154, 42), (42, 154)] {
             let stored = |size: usize, factor: u8| size.next_multiple_of(8 * usize::from(factor));
             let (across, down) = (stored(width, factors.0), stored(height, factors.1));

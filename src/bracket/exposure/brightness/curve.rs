@@ -1,4 +1,4 @@
-//! Fits camera curves to pairs of frames, and computes the steps under them.
+//! Fits camera curves to pairs of frames, and computes the exposure steps that follow from each curve.
 //!
 //! In: the matched pixel values of each pair of frames. Out: for each kind of curve its likelihood, and the steps under
 //! the best curve with their uncertainties. Cost: some ten sums over the matches of all pairs for each kind.
@@ -90,7 +90,7 @@ const ROUNDS: usize = 8;
 const STRIDE: f64 = 0.7;
 
 /// For each pixel value `k`: the stops by which the exposure rises from `k` to `k + 1` under the sRGB curve, and the
-/// Legendre polynomials in the middle between them.
+/// values of the four Legendre polynomials at `k + 1/2`.
 static SRGB: LazyLock<Vec<(f64, Vector4<f64>)>> = LazyLock::new(|| {
     let stops = |code: usize| libm::log2(srgb_to_linear(code as f64 / 255.0));
     let rise = |k: usize| {
@@ -103,8 +103,8 @@ static SRGB: LazyLock<Vec<(f64, Vector4<f64>)>> = LazyLock::new(|| {
     (0..255).map(rise).collect()
 });
 
-/// A curve: the exposure in stops for each pixel value, its derivative by each term, and its rise to the next pixel
-/// value.
+/// A curve. For each pixel value: the exposure in stops, the derivative of the exposure by each term, and the rise of
+/// the exposure to the next pixel value.
 struct Curve {
     stops: Vec<f64>,
     change: Vec<Vector4<f64>>,
@@ -115,7 +115,8 @@ struct Curve {
 struct Ratio {
     stops: f64,
     change: Vector4<f64>,
-    /// Error in stops for an error of one unit in both pixel values, and its relative derivative by each term.
+    /// Error of `stops` if both pixel values have independent errors of one unit, and the relative derivative of this
+    /// error by each term.
     code: f64,
     code_change: Vector4<f64>,
 }

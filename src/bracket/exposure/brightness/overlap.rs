@@ -5,9 +5,9 @@
 //!
 //! The parts outside the overlap may be a tenth of an image, and where they are bright they change the ranks of all
 //! other points. Ranks of pixel values do not depend on the exposure, so the shift is where the ranks of both frames
-//! differ least (the bitmaps of Ward 2003 are ranks compared with one half). Clipped and black points of one frame have
-//! no order there, so the points at the same ranks in the other frame get equal ranks as well. Points are sampled and
-//! not averaged, because the mean of pixel values does not match a radiance.
+//! differ least (the bitmaps of Ward 2003 are ranks compared with one half). The clipped points of a frame have no
+//! order among themselves, nor have its black points, so the points at the same ranks in the other frame get equal
+//! ranks as well. Points are sampled and not averaged, because the mean of pixel values does not match a radiance.
 
 /// Maximum number of points along the longer side of a [`View`].
 const LENGTH: usize = 384;
@@ -87,8 +87,8 @@ pub(super) fn overlap(a: &View, b: &View) -> Option<[[u64; 256]; 2]> {
     ((right, down) != (0, 0)).then(|| [a.counts(ys.0, xs.0), b.counts(ys.1, xs.1)])
 }
 
-/// Returns the overlapping ranges of two rows of `length` points, the first and the second row, where point `i` of the
-/// second row is at `i + by` in the first.
+/// Returns the range of the points of one row, and that of a second row, in which the two rows overlap. Both have
+/// `length` points, and point `i` of the second row is at point `i + by` of the first.
 fn both(length: usize, by: isize) -> (std::ops::Range<usize>, std::ops::Range<usize>) {
     let (more, less) = (by.max(0) as usize, (-by).max(0) as usize);
     (more.min(length)..length - less.min(length), less.min(length)..length - more.min(length))

@@ -180,8 +180,8 @@ fn the_few_are_at_odds_with_the_many() {
     };
     assert_eq!(with(&[(2, 20.0)]), Some(vec![2]));
     assert_eq!(with(&[(1, -9.0), (3, 7.0)]), Some(vec![1, 3]));
-    // This holds for any contrast of the camera: with half of the contrast of sRGB, steps are measured as a third of
-    // the true ones.
+    // The odd frame is found for any contrast of the camera: with half of the contrast of sRGB, steps are measured as a
+    // third of the true ones.
     let flat: Vec<_> = [-4.0, 0.0, 4.0, 2.0].map(|ev| seen(ev, (0.0, 0.5), 0)).into();
     assert_eq!(at_odds(&[-4.0, 0.0, 20.0, 2.0], &flat), Some(vec![2]));
     // Leaving out frame 1 or frame 2 removes the contradiction; without frame 1 the steps agree best.

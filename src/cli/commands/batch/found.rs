@@ -179,7 +179,8 @@ fn start(bracket: &FoundBracket) -> Option<String> {
     Some(bracket.photographs.first()?.header.taken?.to_string())
 }
 
-/// Returns the seconds from the start of the first exposure to the end of the last.
+/// Returns the seconds from the recorded time of the first photograph to that of the last, plus the exposure time of
+/// the last if it is known.
 fn lasts_s(bracket: &FoundBracket) -> Option<f64> {
     let (first, last) = (bracket.photographs.first()?, bracket.photographs.last()?);
     let time = last.header.exposure.time_s.map_or(0.0, |t| t.0);

@@ -66,7 +66,8 @@ impl Coder {
         self.codes[first..=last].fill(0);
     }
 
-    /// Counts the values into leaves. Returns the first symbol that occurs and the last, which is that of runs.
+    /// Counts the values into leaves. Returns the first and the last symbol that occur. The last is the symbol of runs,
+    /// one above the largest value.
     fn count(&mut self, values: &[u16]) -> (usize, usize) {
         let [even, odd] = &mut *self.counts;
         let (pairs, rest) = values.as_chunks::<2>();
