@@ -7,10 +7,11 @@
 //! The similarity under a shift falls with its length and stays low in a picture that does not repeat. In a facade it
 //! is high again at the period, and low at half of it.
 
+use crate::align::agreement::check_tiles;
 use crate::align::agreement::pattern::{Pattern, Shift, Warped};
-use crate::align::grey::{GreyPyramid, level_within};
-use crate::align::refinement::FramePair;
-use crate::align::transform::Transform;
+use crate::align::grey::{GreyPyramid, level_within, measured_level};
+use crate::align::refinement::{FramePair, refine};
+use crate::align::transform::{Model, Transform, on_level};
 use crate::statistics::median;
 use nalgebra::Matrix3;
 use rayon::prelude::*;
@@ -32,6 +33,9 @@ const LEAST: isize = 6;
 const ALIKE: f64 = 0.9;
 /// Largest ratio of the dissimilarity under a period to that under half of it.
 const NEARER: f64 = 0.5;
+/// Least excess of the agreeing over the disagreeing tiles under a period, as a share of all tiles with contrast. Half of
+/// what makes a shifted alignment of a frame comparable with the true one, because noise weakens the true one.
+const LEAST_EVIDENCE: f64 = 0.2;
 /// Most periods that are returned, the most similar first.
 const MOST: usize = 6;
 
@@ -96,7 +100,28 @@ pub(crate) fn periods(picture: &GreyPyramid, max_shift: f64) -> Vec<(f64, f64)> 
         .collect();
     found.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     let scale = (1u64 << level) as f64;
-    found.into_iter().take(MOST).map(|(_, (x, y))| (scale * x as f64, scale * y as f64)).collect()
+    let mut periods: Vec<(f64, f64)> = Vec::new();
+    for (_, (x, y)) in found.into_iter().take(MOST) {
+        let refined = confirmed(&pair, (scale * x as f64, scale * y as f64));
+        let same = |a: &(f64, f64), b: &(f64, f64)| (a.0 - b.0).abs().max((a.1 - b.1).abs()) < scale * LEAST as f64;
+        periods.extend(refined.filter(|found| periods.iter().chain([&(0.0, 0.0)]).all(|known| !same(known, found))));
+    }
+    periods
+}
+
+/// The refined `shift`, in pixels of the full size, if tiles all over the picture match under it: the few patches above
+/// may only be similar, as the parts of a lampshade are.
+fn confirmed(pair: &FramePair, (dx, dy): (f64, f64)) -> Option<(f64, f64)> {
+    let (width, height) = pair.size();
+    let measured = measured_level(pair.reference());
+    let tiles = |h: &Matrix3<f64>| check_tiles(pair.level(measured), &on_level(h, measured)).agreement;
+    // The shift is exact to a pixel of the level of the patches.
+    let start = Transform::Rigid { dx, dy, angle: 0.0 };
+    let refined = refine(pair, &start, Model::Shift, (measured + 1, measured))?;
+    let h = refined.transform.matrix(width, height);
+    let (shifted, all) = (tiles(&h), tiles(&Matrix3::identity()));
+    let evidence = shifted.agreeing as f64 - shifted.disagreeing as f64;
+    (evidence >= LEAST_EVIDENCE * all.agreeing as f64).then_some((h[(0, 2)], h[(1, 2)]))
 }
 
 #[cfg(test)]
