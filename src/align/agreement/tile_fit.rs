@@ -64,7 +64,7 @@ pub(crate) fn fit(check_tiles: &TileCheck, h: &Matrix3<f64>, size: (usize, usize
         normal = a;
     }
     let moved = h * basis.matrix(&step);
-    let error = CORRELATION_FACTOR * basis.expected_error(&normal)?;
+    let error = CORRELATION_FACTOR * basis.expected_error(&normal.clone().cholesky()?.inverse());
     let significance = (step.dot(&(&normal * &step)) / n as f64).max(0.0).sqrt() / CORRELATION_FACTOR;
     Some(TileFit { h: moved / moved[(2, 2)], moved: basis.mean_move(&step), error, significance })
 }

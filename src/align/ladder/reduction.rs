@@ -12,6 +12,10 @@ use crate::align::transform::{Model, Transform, distance, level_to_full, restric
 /// Distance up to which two transforms are treated as the same, in pixels (root mean square over the picture).
 const SAME_PX: f64 = 0.03;
 
+/// Distance up to which a transform of fewer parameters explains the motion equally well, in standard errors: a larger
+/// one would be significant at the level of 5 %.
+const STANDARD_ERRORS: f64 = 2.0;
+
 /// A model with fewer parameters is fitted only if its starting values differ from the homography by at most this many
 /// times the error of the homography.
 const MOST_EXCESS: f64 = 5.0;
@@ -32,8 +36,9 @@ pub(crate) fn reduce(pair: &FramePair, whole: Candidate) -> Candidate {
         let error_px = (noise_px * noise_px + whole.tile_error_px * whole.tile_error_px).sqrt();
         Candidate { transform, error_px, ..whole.clone() }
     };
+    let uncertainty_px = STANDARD_ERRORS * whole.error_px;
     let still = distance(&whole.transform, &Transform::Identity, width, height);
-    if still <= UNMOVED_PX.max(whole.error_px) {
+    if still <= UNMOVED_PX.max(uncertainty_px) {
         let unmoved = checked(Transform::Identity, 0.0, still);
         if unmoved.agreement().share() >= whole.agreement().share() - 0.02 {
             let error_px = unmoved.error_px.min(still.max(SAME_PX));
@@ -48,14 +53,14 @@ pub(crate) fn reduce(pair: &FramePair, whole: Candidate) -> Candidate {
     for model in [Model::Shift, Model::Rigid] {
         // Excludes models that are far off before the expensive fit.
         let near = Transform::Homography(restrict(&whole.transform.matrix(width, height), model, width, height));
-        if distance(&whole.transform, &near, width, height) > MOST_EXCESS * SAME_PX.max(whole.error_px) {
+        if distance(&whole.transform, &near, width, height) > MOST_EXCESS * SAME_PX.max(uncertainty_px) {
             continue;
         }
         let Some(smaller) = refine(pair, &whole.transform, model, (finest, finest)) else {
             continue;
         };
         let apart = distance(&whole.transform, &smaller.transform, width, height);
-        if apart <= SAME_PX.max(whole.error_px) {
+        if apart <= SAME_PX.max(uncertainty_px) {
             // The error of the larger model bounds that of the smaller one.
             let noise_px = smaller.error_px.max(0.5 * whole.error_px);
             let candidate = checked(smaller.transform, noise_px, apart);

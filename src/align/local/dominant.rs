@@ -84,7 +84,7 @@ pub(super) fn search(
         return None;
     }
     let moved = h * fit.basis.matrix(&step);
-    let error = fit.factor * fit.basis.expected_error(&normal)?;
+    let error = fit.factor * fit.basis.expected_error(&normal.cholesky()?.inverse());
     Some(Dominant { h: moved / moved[(2, 2)], error })
 }
 

@@ -5,6 +5,7 @@
 //! about 16,000 patches of the finest level; 0.1 us for each point and step. Source: Baker & Matthews, "Lucas-Kanade 20
 //! Years On", IJCV 56(3), 2004, section 3.1 (compositional updates). Residuals are weighted by Tukey's biweight.
 
+mod covariance;
 mod fine_level;
 mod frame_pair;
 mod normal_equations;
@@ -13,6 +14,7 @@ mod patch;
 pub use frame_pair::FramePair;
 
 use crate::align::grey::{finest_level, measured_level};
+use crate::align::refinement::covariance::Scores;
 use crate::align::refinement::frame_pair::Point;
 use crate::align::refinement::patch::Patches;
 use crate::align::resampling::cubic::cubic;
@@ -20,7 +22,7 @@ use crate::align::transform::{Increment, Model, Transform, map, off_level, on_le
 use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};
 use crate::statistics::median;
-use nalgebra::{DMatrix, Matrix3};
+use nalgebra::Matrix3;
 use rayon::prelude::*;
 
 /// Largest number of steps on each level.
@@ -30,8 +32,9 @@ const MOST_STEPS: usize = 12;
 const STILL: (f64, f64) = (0.005, 0.05);
 /// Least number of points for a solution.
 const LEAST_POINTS: usize = 50;
-/// Ratio of the actual error to the error that noise would cause if it were independent in every pixel. In fact the
-/// noise of neighbouring pixels is correlated, by smoothing, JPEG and aliasing. Measured on rendered brackets.
+/// Ratio of the actual error to the error that noise would cause if it were independent in every pixel, for the weight
+/// of the prior. In fact the noise of neighbouring pixels is correlated, by smoothing, JPEG and aliasing. Measured on
+/// rendered brackets. (The error estimate does not need it: see `covariance`.)
 const NOISE_FACTOR: f64 = 4.0;
 /// Number of points that a thread processes together.
 const PIECE: usize = 1024;
@@ -41,7 +44,7 @@ const PIECE: usize = 1024;
 pub struct Refined {
     /// The transform (reference pixel -> frame pixel), of the requested model.
     pub transform: Transform,
-    /// Estimated error due to noise, root mean square over the image, in pixels.
+    /// Estimated error due to noise and to what the model does not fit, root mean square over the image, in pixels.
     pub error_px: f64,
 }
 
@@ -130,25 +133,31 @@ impl<'a> Stage<'a> {
         let basis = Increment::new(model, width, height);
         let rows: Vec<[f64; 8]> = self.points.iter().map(|p| basis.row(p.x, p.y, p.gradient)).collect();
         let mut left = vec![0.0f32; self.points.len()];
-        let mut normal = DMatrix::zeros(basis.parameters(), basis.parameters());
+        let mut weights = vec![0.0f32; self.points.len()];
+        let mut found = None;
         for _ in 0..MOST_STEPS {
             residuals(&h, &mut left);
             let noise = spread(self.points, &left)?;
-            let (mut a, mut b) = normal_equations::equations(basis.parameters(), self.points, &rows, &left, noise);
+            normal_equations::weights(self.points, &left, noise, &mut weights);
+            let (data, mut b) = normal_equations::equations(basis.parameters(), &rows, &left, &weights);
+            let mut a = data.clone();
             basis.add_prior(&h, NOISE_FACTOR, &mut a, &mut b);
-            normal = a.clone();
-            let step = basis.solve(a, b)?;
+            let step = basis.solve(a.clone(), b)?;
             h *= basis.matrix(&step);
             h /= h[(2, 2)];
             let moved = basis.largest_move(&step);
             if !moved.is_finite() || moved > width as f64 {
                 return None;
             }
+            found = Some((data, a));
             if moved < self.still {
                 break;
             }
         }
-        let error_px = NOISE_FACTOR * (1u64 << self.level) as f64 * basis.expected_error(&normal)?;
+        let (data, whole) = found?;
+        let scores = Scores { points: self.points, rows: &rows, residuals: &left, weights: &weights, size: self.size };
+        let covariance = scores.covariance(&data, &whole, NOISE_FACTOR)?;
+        let error_px = (1u64 << self.level) as f64 * basis.expected_error(&covariance);
         Some((off_level(&h, self.level), error_px))
     }
 }

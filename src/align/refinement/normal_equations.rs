@@ -13,25 +13,27 @@ use nalgebra::{DMatrix, DVector};
 /// Tukey's constant: 95 % efficiency for normal noise.
 const TUKEY: f32 = 4.685;
 
-/// Returns A and b for the first `n` parameters; `noise` is the standard deviation of the residuals.
+/// Returns A and b for the first `n` parameters.
 ///
 /// `rows` has J^T g of each point, whose elements from `n` on are zero. `residuals` has frame minus reference of each
-/// point, NaN outside the frame.
-pub(crate) fn equations(
+/// point, NaN outside the frame, where its weight in `weights` is 0.
+pub(super) fn equations(
     n: usize,
-    points: &[Point],
     rows: &[[f64; 8]],
     residuals: &[f32],
-    noise: f32,
+    weights: &[f32],
 ) -> (DMatrix<f64>, DVector<f64>) {
-    let mut weights = vec![0.0f32; points.len()];
-    vectorised(Weights { points, residuals, noise, weights: &mut weights });
     let (a, b) = if n <= 4 {
-        vectorised(Sums::<4> { weights: &weights, rows, residuals })
+        vectorised(Sums::<4> { weights, rows, residuals })
     } else {
-        vectorised(Sums::<8> { weights: &weights, rows, residuals })
+        vectorised(Sums::<8> { weights, rows, residuals })
     };
     (DMatrix::from_fn(n, n, |i, k| a[i.min(k)][i.max(k)]), DVector::from_fn(n, |i, _| b[i]))
+}
+
+/// Computes the weight of every point, 0 where the residual is NaN; `noise` is the standard deviation of the residuals.
+pub(super) fn weights(points: &[Point], residuals: &[f32], noise: f32, weights: &mut [f32]) {
+    vectorised(Weights { points, residuals, noise, weights });
 }
 
 /// Computes the weight of every point; 0 where the residual is NaN.
@@ -127,7 +129,9 @@ mod tests {
                 }
             }
             assert!(a[(0, 0)] > 0.0);
-            assert_eq!(equations(n, &points, &rows, &residuals, noise), (a, b), "{n}");
+            let mut found = vec![0.0f32; count];
+            weights(&points, &residuals, noise, &mut found);
+            assert_eq!(equations(n, &rows, &residuals, &found), (a, b), "{n}");
         }
     }
 }

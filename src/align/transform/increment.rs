@@ -169,10 +169,8 @@ impl Increment {
         (sum / (GRID * GRID) as f64).sqrt()
     }
 
-    /// Returns the root mean square error over the picture, in pixels, if the parameters have the covariance A^-1; none
-    /// where A is singular.
-    pub(crate) fn expected_error(&self, a: &DMatrix<f64>) -> Option<f64> {
-        let covariance = a.clone().cholesky()?.inverse();
+    /// Returns the root mean square error over the picture, in pixels, if the parameters have this `covariance`.
+    pub(crate) fn expected_error(&self, covariance: &DMatrix<f64>) -> f64 {
         let mut sum = 0.0;
         for (x, y) in grid(self.size.0, self.size.1) {
             let j = self.jacobian(x, y);
@@ -184,6 +182,6 @@ impl Increment {
             }
             sum += local.trace();
         }
-        Some((sum / (GRID * GRID) as f64).sqrt())
+        (sum / (GRID * GRID) as f64).sqrt()
     }
 }
