@@ -222,8 +222,8 @@ mod tests {
         assert_eq!(all.uniqueness((target, winner), |c| !alike(c, winner)), 1.0);
     }
 
-    /// Of a facade: a shift by a period leaves other tiles outside the frame, so that fewer are decided but each
-    /// matches worse.
+    /// As with a facade that repeats: under a wrong shift by one period (here 40 px), more tiles are inside the frame
+    /// and decided than under the true shift (3 px), but each of them matches worse. The true shift must win.
     #[test]
     fn alternative_that_is_better_on_the_common_tiles_wins_over_more_tiles() {
         let weak = |x, tiles: usize, correlation| {

@@ -30,8 +30,9 @@ fn the_smallest_model_that_explains_is_chosen() {
         let chosen = reduce(&pair, whole);
         let model = Model::of(&chosen.transform);
         assert_eq!(model, expected, "{:?}", chosen.transform);
-        // A homography's corners are good to 0.05 px here (see `refine`), and a smaller model is taken where it is as
-        // near as the error.
+        // The corners of the homography have an error of up to 0.05 px here (see `refine`). A model with fewer
+        // parameters is chosen if it differs from the homography by no more than this error, so its corners may be
+        // wrong by twice as much.
         let error = chosen.transform.corner_distance(&truth, SIZE.0, SIZE.1);
         assert!(error < 0.1, "{error} px for {expected:?}");
         assert!(chosen.confidence() > 0.8, "{chosen:?}");

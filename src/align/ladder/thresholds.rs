@@ -40,8 +40,8 @@ pub(super) const TILE_NOISE_PX: f64 = 0.05;
 pub(super) const LATER_EVIDENCE_FACTOR: f64 = 1.01;
 /// ... plus this number of tiles, so that rounding of equal evidence does not decide.
 pub(super) const LATER_EVIDENCE_TILES: f64 = 0.5;
-/// Evidence, as a share of the best candidate's, from which a candidate is comparable with it. Chosen on rendered
-/// brackets.
+/// A candidate is comparable with the best one if it has at least this share of the best one's evidence. Chosen on
+/// rendered brackets.
 pub(super) const COMPARABLE_EVIDENCE: f64 = 0.4;
 /// Evidence for one candidate over another from which the choice is decided, in nats: odds of 7 to 1.
 pub(crate) const DECISIVE_NATS: f64 = 2.0;

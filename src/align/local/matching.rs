@@ -184,8 +184,8 @@ impl Matches {
     }
 }
 
-/// Whether a match with the correlation `other` is significantly better than one with the correlation `best`: patterns
-/// that repeat match nearly as well elsewhere.
+/// Whether a match with the correlation `other` is clearly better than the present one, which has the correlation
+/// `best`. A small lead is not enough, because a repeated pattern matches nearly as well at a wrong position.
 fn is_better(other: f32, best: f32) -> bool {
     let unexplained = |c: f32| 1.0 - c.max(0.0) * c.max(0.0) + UNEXPLAINED;
     other >= LEAST_CORRELATION && unexplained(other) < CLEARLY * unexplained(best)
