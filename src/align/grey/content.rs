@@ -75,7 +75,7 @@ pub(crate) fn content_and_pyramid(frame: &Frame) -> Result<(Content, GreyPyramid
 
 /// Largest difference of grey values that noise alone may cause.
 const NEARLY_UNIFORM: u8 = 7;
-/// Least brightening, in stops: less is not worth the time.
+/// A frame that could be brightened by fewer stops than this is not brightened: it is not worth the time.
 const LEAST_BRIGHTENING: u32 = 2;
 /// Largest brightening, in stops: more would only amplify noise.
 const MOST_BRIGHTENING: u32 = 6;
