@@ -1,4 +1,4 @@
-//! One frame: the model that is chosen, and what holds a wrong one off.
+//! Tests with one frame: which model is chosen, and that wrong transforms are not accepted.
 
 use super::*;
 use crate::align::bitmaps::MtbOptions;
@@ -47,7 +47,8 @@ fn bitmaps_settle_an_ordinary_pair() {
         let found = by_bitmaps(&reference, &frame, &MtbOptions::default()).1.unwrap();
         assert!(found.is_settled(), "{found:?}");
         assert!(found.transform.corner_distance(&truth, SIZE.0, SIZE.1) < 0.1, "{found:?}");
-        // The stated error must cover the actual one, and be of its order: corners are good to 0.05 px (see `refine`).
+        // The stated error must exceed the actual one, but not by much: the corners have an error of up to 0.05 px (see
+        // `refine`).
         let error = distance(&found.transform, &truth, SIZE.0, SIZE.1);
         assert!(error < found.error_px && found.error_px < 0.05, "{error} against {}", found.error_px);
     }
