@@ -105,7 +105,8 @@ impl Loops for WarpRow<'_> {
     }
 }
 
-/// The value at the fractions (`fx`, `fy`) of the way between four pixels: (left, right) of the upper and the lower row.
+/// Returns the value at the fractions (`fx`, `fy`) of the way between four pixels: (left, right) of the upper and the
+/// lower row.
 #[inline(always)]
 fn blend(upper: (f32, f32), lower: (f32, f32), (fx, fy): (f32, f32)) -> f32 {
     let (top, bottom) = (upper.0 + fx * (upper.1 - upper.0), lower.0 + fx * (lower.1 - lower.0));

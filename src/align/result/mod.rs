@@ -21,7 +21,7 @@ pub struct KeypointCounts {
     pub plain: usize,
     /// Number of keypoints in its median threshold bitmaps.
     pub mtb: usize,
-    /// Number of keypoints in both; a keypoint found in both is counted once.
+    /// Number of keypoints in the grey picture or the bitmaps; a keypoint found in both is counted once.
     pub merged: usize,
 }
 
