@@ -72,7 +72,7 @@ pub struct Curve {
 }
 
 impl Curve {
-    /// Returns the motion with the least share; of several the first.
+    /// Returns the motion with the smallest share; if several have it, the first.
     pub fn lowest(&self) -> f64 {
         let best = self.at.iter().zip(&self.share).reduce(|best, here| if here.1 < best.1 { here } else { best });
         best.map_or(0.0, |(at, _)| *at)
@@ -161,7 +161,7 @@ fn angles(found: f64, most: f64) -> Vec<f64> {
 pub enum FeatureKind {
     /// Keypoints of the grey picture.
     Plain,
-    /// Keypoints of its median threshold bitmaps.
+    /// Keypoints of the median threshold bitmaps of the picture.
     Mtb,
     /// Keypoints of both, each kind matched only with its own kind.
     Merged,
@@ -293,8 +293,8 @@ mod tests {
         let truth = rigid(9.0, -6.0, 1.7);
         let [reference, frame] = pair(&truth);
         let curves = xor_curves(&reference, &frame, Some(truth), &AlignOptions::default());
-        // The positions of bitmaps are rounded to pixels, so angles can be distinguished if they move the rim, at 150
-        // px, by half a pixel or more: 0.2 degrees.
+        // The positions of bitmaps are rounded to pixels. Two angles can be distinguished if they displace pixels at
+        // the rim, 150 px from the centre, by half a pixel or more relative to each other: by 0.2 degrees.
         assert!((curves.by_angle.lowest() - 1.7).abs() <= 0.2, "{}", curves.by_angle.lowest());
         assert!((curves.by_dx.lowest() - 9.0).abs() <= 1.0 && (curves.by_dy.lowest() + 6.0).abs() <= 1.0);
         assert!(curves.after < 0.3 * curves.before, "{} {}", curves.after, curves.before);

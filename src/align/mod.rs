@@ -16,11 +16,11 @@
 //! 6. `local`: the parts of the picture that a transform does not fit.
 //! 7. `ladder`: the order of the methods, and the choice among what they find. `diagnostics`: what `inspect` shows.
 //!
-//! The mode `auto` goes from the cheapest method to the most expensive and stops as soon as the tiles of the picture
-//! agree: bitmaps, refined on the pixels; the same against a neighbour in exposure; features; the other minima of the
-//! bitmap search. Every estimate is refined and then checked by [`agreement`]. Exceptions: transforms inferred from
-//! other frames ([assumed](Placement::Assumed)), frames that are left unmoved, and the dominant motion, which is fitted
-//! to the displacements of the parts afterwards.
+//! The mode `auto` tries methods from the cheapest to the most expensive, and stops as soon as the tiles of the picture
+//! agree. The methods are: bitmaps against the reference, refined on the pixels; bitmaps against a neighbour in
+//! exposure; features; the other minima of the bitmap search. Every estimate is refined and then checked by
+//! [`agreement`]. Exceptions: transforms inferred from other frames ([assumed](Placement::Assumed)), frames that are
+//! left unmoved, and the dominant motion, which is fitted afterwards to the displacements of small patches (`local`).
 
 #[doc(hidden)]
 pub mod agreement;

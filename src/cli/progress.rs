@@ -218,8 +218,8 @@ impl Bar {
         let is_shown = terminal.can_redraw && !quiet;
         let target = if is_shown { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
         let bar = ProgressBar::with_draw_target(Some(STEPS), target);
-        // The other parts take 42 of at most 79 columns: stage 18, brackets and spaces 4, percentage 5, spaces 2, time
-        // left 13.
+        // The parts beside the bar take 42 of at most 79 columns: stage 18, brackets and spaces 4, percentage 5, spaces
+        // 2, time left 13.
         let room = terminal.width.min(79).saturating_sub(44).clamp(8, 35);
         if let Ok(style) =
             ProgressStyle::with_template(&format!("{{msg:18!}} [{{bar:{room}}}] {{percent:>3}} %  {{prefix}}"))

@@ -1,4 +1,5 @@
-//! The summary on stderr: warnings, then six lines. There is one more line if something moved, and one if the white balance was changed.
+//! The summary on stderr: warnings, then six lines. There is one more line if something moved, and one if the white
+//! balance was changed.
 
 use super::say;
 use super::terminal::{Terminal, shortened};
@@ -180,7 +181,8 @@ fn problems(report: &Report, room: usize) -> String {
         ];
         parts.into_iter().flatten().collect::<Vec<_>>().join("; ")
     };
-    // Frames with a problem are named if there are at most 8 of them; if this is too long, at most 1; otherwise none.
+    // The frames with a problem are named if there are at most 8 of them. If this text is too long, they are named only
+    // if there is at most 1; if it is still too long, none is named.
     let full = [8, 1].map(listed).into_iter().find(|words| words.chars().count() <= room);
     full.unwrap_or_else(|| shortened(&listed(0), room))
 }

@@ -97,7 +97,8 @@ impl Terminal {
     }
 }
 
-/// Shortens `text` to at most `room` columns, with dots in the middle. The end, which has the file name, keeps the larger part.
+/// Shortens `text` to at most `room` columns, with dots in the middle. More of the end is kept than of the start,
+/// because the end has the file name.
 pub fn shortened(text: &str, room: usize) -> String {
     let clean: String = text.chars().map(|c| if c.is_control() { '?' } else { c }).collect();
     if measure_text_width(&clean) <= room {

@@ -26,7 +26,8 @@ pub fn clear(mut error: Error, program: &mut Command, command: Option<&str>) -> 
             error.insert(tip, likely);
         }
     }
-    // Without the suggestion to pass an unknown option as a file. An empty list would print an empty line.
+    // Removes the suggestion to pass an unknown option as a file. An empty list of suggestions would print an empty
+    // line.
     if let Some(ContextValue::StyledStrs(mut tips)) = error.remove(ContextKind::Suggested) {
         tips.retain(|tip| !tip.to_string().ends_with(&format!("-- {}'", typed_argument(&error))));
         if !tips.is_empty() {

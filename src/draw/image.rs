@@ -182,7 +182,8 @@ mod tests {
         let ramp = ramp((41, 30));
         let encoded = jpeg(&ramp, 90, Some(b"a profile")).unwrap();
         assert_eq!((encoded.width, encoded.height), (41, 30));
-        // Not decoded by `image`, which is wrong for chroma at half the resolution in small pictures of odd size.
+        // The crate `image` is not used here: it decodes chroma at half the resolution wrongly in small pictures of odd
+        // size.
         let file = STANDARD.decode(encoded.address.split_once(";base64,").unwrap().1).unwrap();
         let back = jpeg_decoder::Decoder::new(&file[..]).decode().unwrap();
         // JPEG at this quality, with chroma at half the resolution, changes a ramp by some code values.

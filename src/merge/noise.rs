@@ -196,7 +196,7 @@ mod tests {
             let (found, truth) = (noise.deviation(1, f64::from(code)), sigma(f64::from(code)));
             assert!((0.8..1.05).contains(&(found / truth)), "{code}: {found} for {truth}");
         }
-        // Code values darker than the frame has get the noise of the darkest step that it has.
+        // The frame has no code values near 0. Their noise is set to that of the darkest step that the frame has.
         assert_eq!(noise.code_variance(0, 0.0), noise.steps[0][1]);
     }
 

@@ -17,8 +17,8 @@ pub struct Repaired {
     pub not_numbers: usize,
     /// Number of pixels with an infinite value, which become the largest finite value of the picture.
     pub infinite: usize,
-    /// Number of pixels with a negative value, a colour outside of the primaries. These pixels are desaturated at their
-    /// luminance until they are inside; black if the luminance is not positive.
+    /// Number of pixels with a negative value, that is, with a colour outside the gamut of the primaries. These pixels
+    /// are desaturated at their luminance until they are inside; black if the luminance is not positive.
     pub negative: usize,
 }
 

@@ -39,9 +39,9 @@ pub struct Options {
     /// Largest number of places for each channel; 24 or more.
     pub samples: usize,
     /// The weight lambda of smoothness relative to the mean square error of the samples; positive. On 130 rendered
-    /// brackets, the error with the default of 30 is that with 100 in the middle codes, and two thirds of that with 100
-    /// at the ends. A weight of 10 follows noise and waves, and so do weights derived from the residual of each
-    /// bracket.
+    /// brackets, the default of 30 causes the same error as a weight of 100 in the middle of the code range, and two
+    /// thirds of its error at the ends. A weight of 10 follows noise and waves, and so do weights derived from the
+    /// residual of each bracket.
     pub smoothness: f64,
     /// Number of rounds in which contradicting samples lose their weight; 0 for plain least squares.
     pub rounds: usize,

@@ -1,9 +1,9 @@
 //! Exposure correction: exposure ratios estimated from the pixels.
 //!
 //! In: a bracket and the codes of its frames at flat places. Out: for each frame, the stops by which its exposure is
-//! [corrected](Correction), within bounds; usually 0. Cost: a few systems of about sixty unknowns, a few
-//! milliseconds. Source: Ward's hdrgen, option -e, which corrects exposures within 4 to 25 %; the model is Debevec &
-//! Malik 1997, equation 3, with the exposures as additional unknowns:
+//! [corrected](Correction), within bounds; usually 0. Cost: a few systems of about sixty unknowns, a few milliseconds.
+//! Source: Ward's hdrgen, option -e, which corrects exposures too; the model is Debevec & Malik 1997, equation 3, with
+//! the exposures as additional unknowns:
 //!
 //! ```text
 //! minimise  sum_ij w(Z_ij)^2 [g(Z_ij) - ln E_i - ln dt_j - d_j]^2  +  lambda sum |g''|^2  +  sum_j d_j^2 / sigma^2

@@ -26,7 +26,7 @@ const DNG_VERSION: u16 = 50706;
 /// The photometric interpretation of grey whose 0 is black (TIFF 6.0, section 8).
 const BLACK_IS_ZERO: u8 = 1;
 
-/// Numbers of the JPEG compressions, in whose data bits are never reversed (libtiff's TIFF_NOBITREV).
+/// Numbers of the JPEG compressions. The bits of their data are never reversed (libtiff's TIFF_NOBITREV).
 const JPEGS: [u64; 2] = [6, 7];
 
 /// Largest number of directories (IFDs) that are read. Each describes one picture of the file, and only one picture is

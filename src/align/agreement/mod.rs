@@ -23,12 +23,13 @@ use nalgebra::Matrix3;
 use rayon::prelude::*;
 use std::sync::OnceLock;
 
-/// Tiles along the long side.
+/// Number of tiles along the long side.
 const TILES: usize = 16;
 /// Least side of a tile, in pixels. A narrower picture has no tiles and cannot be checked.
 pub(crate) const LEAST_SIDE: usize = 8;
-/// Largest share of the picture that did not move although the transform moves it, and that is not counted: captions,
-/// watermarks, dust. With more, the transform may follow something that moved, and the rest be the scene.
+/// Parts of the picture that did not move although the transform moves them (captions, watermarks, dust) are not
+/// counted if their share is at most this. If it is larger, they may be the scene, and the transform may follow
+/// something that moved; then they count against the transform.
 pub(crate) const MOST_STILL: f64 = 1.0 / 3.0;
 /// Search range of a tile around its position, in pixels.
 const REACH: isize = 3;
@@ -36,18 +37,16 @@ const REACH: isize = 3;
 /// The agreement of the tiles with a transform.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Agreement {
-    /// Tiles whose best match is at the position given by the transform.
+    /// Number of tiles whose best match is at the position given by the transform.
     pub agreeing: usize,
-    /// Tiles with enough structure that match elsewhere, or nowhere.
+    /// Number of tiles with enough structure that match elsewhere, or nowhere.
     pub disagreeing: usize,
-    /// Tiles that are uniform, too dark, too bright, or outside the frame.
+    /// Number of tiles that are uniform, too dark, too bright, or outside the frame.
     pub undecided: usize,
     /// Number of parts of the picture, of three by three, in which a tile agrees.
     pub parts: usize,
     /// The median displacement of the agreeing tiles, in pixels of the planes.
     pub offset: f64,
-    /// The mean correlation of the tiles that are not undecided, -1..=1.
-    pub correlation: f64,
 }
 
 impl Agreement {
@@ -62,7 +61,7 @@ impl Agreement {
     }
 }
 
-/// Parts of the picture with agreeing tiles from which the whole picture counts as covered.
+/// If at least this many parts of the picture have agreeing tiles, the whole picture counts as covered.
 const ENOUGH_PARTS: usize = 4;
 
 impl TileCheck {
@@ -88,8 +87,8 @@ pub struct TileDisplacement {
     /// Negative second derivatives of its correlation at the best match, [xx, xy, yy], per pixel^2: the precision of
     /// its position in each direction.
     pub sharpness: [f64; 3],
-    /// `sharpness` times the displacement from the position given by the transform, in the reference's directions.
-    /// (Along an edge both are zero.)
+    /// `sharpness` times the displacement from the position given by the transform, in the reference's directions. (In
+    /// the direction along an edge, both the sharpness and the pull are zero.)
     pub pull: [f64; 2],
 }
 
@@ -98,7 +97,7 @@ pub struct TileDisplacement {
 pub struct TileCheck {
     /// The summary of all tiles.
     pub agreement: Agreement,
-    /// The correlation of each tile at its position; none where it is undecided.
+    /// The correlation of each tile at its position; none where it has too little contrast or is outside the frame.
     pub correlations: Vec<Option<f32>>,
     /// The displacements of the agreeing tiles whose best match is not at the edge of the search range.
     pub displacements: Vec<TileDisplacement>,
@@ -141,7 +140,8 @@ pub fn check_tiles(both: &CommonExposure, h: &Matrix3<f64>) -> TileCheck {
             }
         }
     }
-    // What does not move with the scene is the smaller part of the picture; otherwise the transform may be wrong.
+    // Tiles that stayed at the same pixels are ignored if they are few. Otherwise the transform may be wrong, so they
+    // count as disagreeing.
     if still as f64 <= MOST_STILL * (still + sum.agreeing + sum.disagreeing) as f64 {
         sum.undecided += still;
     } else {
@@ -149,10 +149,7 @@ pub fn check_tiles(both: &CommonExposure, h: &Matrix3<f64>) -> TileCheck {
     }
     sum.parts = parts.iter().filter(|&&p| p).count();
     sum.offset = median(offsets).map_or(0.0, f64::from);
-    let correlations: Vec<Option<f32>> = tiles.iter().map(Tile::correlation).collect();
-    let total = correlations.iter().flatten().fold(0.0, |total, &c| total + f64::from(c));
-    sum.correlation = total / (sum.agreeing + sum.disagreeing).max(1) as f64;
-    TileCheck { agreement: sum, correlations, displacements }
+    TileCheck { agreement: sum, correlations: tiles.iter().map(Tile::correlation).collect(), displacements }
 }
 
 #[cfg(test)]

@@ -11,10 +11,10 @@ use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};
 use nalgebra::Matrix3;
 
-/// Least standard deviation of a tile's weighted pixels for it to be decided, in grey values.
+/// A tile is undecided if the standard deviation of its pixels with weight is less than this, in grey values.
 const LEAST_CONTRAST: f32 = 2.5;
 
-/// Fewest pixels with weight for a tile to be decided: a lamp at night is enough.
+/// A tile is undecided if fewer of its pixels have weight. The number is small, so that a lamp at night suffices.
 const LEAST_PIXELS: f32 = 64.0;
 
 /// Weight below which a pixel is ignored.
@@ -36,7 +36,8 @@ impl Warped {
             let Some(y) = row_at.checked_sub(margin).filter(|&y| y < height) else { return };
             let row = &mut row[margin..margin + width];
             if is_identity {
-                // The same as by `WarpRow`, where the last row and column have no neighbour.
+                // Gives the same values as `WarpRow`, which omits the last row and column because they have no next
+                // neighbour.
                 if y + 1 < frame.height() {
                     let count = width.min(frame.width() - 1);
                     row[..count].copy_from_slice(&frame.row(y)[..count]);
@@ -82,7 +83,8 @@ impl Loops for WarpRow<'_> {
             if let (true, Ok(piece)) = (is_one_line, <&mut [f32; PIECE]>::try_from(&mut *piece))
                 && last.0 as usize == column + PIECE - 1
             {
-                // Between the same two rows, and each pixel one column to the right of the one before.
+                // All pixels of the piece are between the same two rows of the frame, each one column to the right of
+                // the one before.
                 let pixels = |y: usize| frame.row(y)[column..].first_chunk::<{ PIECE + 1 }>();
                 let Some((upper, lower)) = pixels(line).zip(pixels(line + 1)) else { continue };
                 for (i, v) in piece.iter_mut().enumerate() {
@@ -103,7 +105,8 @@ impl Loops for WarpRow<'_> {
     }
 }
 
-/// The value at the fractions (`fx`, `fy`) of the way between four pixels: (left, right) of the upper and the lower row.
+/// Returns the value at the fractions (`fx`, `fy`) of the way between four pixels: (left, right) of the upper and the
+/// lower row.
 #[inline(always)]
 fn blend(upper: (f32, f32), lower: (f32, f32), (fx, fy): (f32, f32)) -> f32 {
     let (top, bottom) = (upper.0 + fx * (upper.1 - upper.0), lower.0 + fx * (lower.1 - lower.0));
@@ -135,13 +138,15 @@ impl Peak {
         let xx = 2.0 * c[1][1] - c[1][0] - c[1][2];
         let yy = 2.0 * c[1][1] - c[0][1] - c[2][1];
         let xy = -0.25 * (c[2][2] - c[2][0] - c[0][2] + c[0][0]);
-        // A curved ridge may rise along its crest, where it has no maximum: limits the cross term.
+        // A paraboloid through a curved ridge may rise along the crest and have no maximum. The cross term is limited
+        // so that it has one.
         let limit = 0.95 * (xx * yy).max(0.0).sqrt();
         let known = c.iter().flatten().all(|v| v.is_finite()) && xx >= 0.0 && yy >= 0.0;
         known.then(|| Peak { at: (x, y), gradient, sharpness: [xx, xy.clamp(-limit, limit), yy] })
     }
 
-    /// The displacement of the tile with this centre. The peak is at `at` + S^-1 g, so the pull is S `at` + g.
+    /// The displacement of the tile with this centre. With the sharpness S and the gradient g, the peak is at `at` +
+    /// S^-1 g, so the pull is S `at` + g.
     pub(crate) fn about(&self, centre: [f64; 2]) -> TileDisplacement {
         let [xx, xy, yy] = self.sharpness;
         let (x, y) = (self.at.0 as f64, self.at.1 as f64);
@@ -183,7 +188,7 @@ impl Pattern {
         has_contrast.then_some(Pattern { left, top, side, values, mask, count, energy })
     }
 
-    /// Whether its contrast is less than twice the least.
+    /// Whether the contrast of the pattern is less than twice [`LEAST_CONTRAST`].
     pub(super) fn is_faint(&self) -> bool {
         self.energy < 4.0 * LEAST_CONTRAST * LEAST_CONTRAST * self.count
     }
@@ -192,7 +197,7 @@ impl Pattern {
     pub(crate) fn correlation(&self, warped: &Warped, shift: Shift) -> f32 {
         let [sum, squares, products] = vectorised(Moments { pattern: self, warped, shift });
         let variance = squares - sum * sum / self.count;
-        // The least variance keeps the correlation low where the frame has no structure.
+        // The lower limit of the variance keeps the correlation low where the frame has no structure.
         if variance.is_nan() { f32::NAN } else { products / (self.energy * variance.max(0.25 * self.count)).sqrt() }
     }
 }
@@ -237,7 +242,7 @@ struct Centre<'a> {
 }
 
 impl Loops for Centre<'_> {
-    /// The sum of the squares.
+    /// The sum of the squares of the results.
     type Output = f32;
 
     #[inline(always)]
@@ -275,7 +280,7 @@ impl Loops for Moments<'_> {
     fn run(self) -> Self::Output {
         let Moments { pattern, warped, shift: (dx, dy) } = self;
         let (mut sums, mut squares, mut products) = ([0.0f32; LANES], [0.0f32; LANES], [0.0f32; LANES]);
-        // The sums of the columns that fill no vector.
+        // The sums over the last columns, which do not fill a vector.
         let mut rest = [0.0f32; 3];
         let margin = warped.reach();
         let left = (pattern.left as isize + margin + dx) as usize;
@@ -304,7 +309,7 @@ impl Loops for Moments<'_> {
     }
 }
 
-/// Partial sums that are computed side by side.
+/// Number of partial sums that are computed side by side.
 const LANES: usize = 8;
 
 /// Returns the sum of `lanes`.

@@ -4,8 +4,8 @@
 //! correlated at every second shift within reach on a small level: some 10 ms. Source: normalised cross-correlation
 //! (Lewis 1995) of the picture with itself.
 //!
-//! The similarity under a shift falls with its length and stays low in a picture that does not repeat. In a facade it
-//! is high again at the period, and low at half of it.
+//! The similarity of a picture to itself falls with the length of the shift. In a picture that does not repeat, it
+//! stays low. In a facade, it is high again at the period, and low at half the period.
 
 use crate::align::agreement::check_tiles;
 use crate::align::agreement::pattern::{Pattern, Shift, Warped};
@@ -16,27 +16,29 @@ use crate::statistics::median;
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 
-/// Most pixels of the level that is examined: fine enough for the joints between tiles.
+/// Largest number of pixels of the level that is examined. The level is fine enough to show the joints of a tiled wall.
 const PIXELS: usize = 200_000;
 /// Side of a patch, in pixels of the level.
 const SIDE: usize = 32;
-/// Patches along each side of the picture.
+/// Number of patches along each side of the picture.
 const PATCHES: usize = 3;
-/// Fewest patches that are compared under a shift.
+/// A shift is not examined if fewer patches than this can be compared under it.
 const LEAST_PATCHES: usize = 6;
 /// Distance of the shifts that are compared, in pixels of the level, which is smoothed with a standard deviation of
 /// one.
 const STRIDE: isize = 2;
 /// Smallest period that is detected, in pixels of the level.
 const LEAST: isize = 6;
-/// Least similarity under a shift by a period.
+/// A shift is a period only if the similarity under it is at least this.
 const ALIKE: f64 = 0.9;
-/// Largest ratio of the dissimilarity under a period to that under half of it.
+/// A shift is a period only if the dissimilarity under it (1 - similarity) is less than this multiple of the
+/// dissimilarity under half the shift.
 const NEARER: f64 = 0.5;
-/// Least excess of the agreeing over the disagreeing tiles under a period, as a share of all tiles with contrast. Half of
-/// what makes a shifted alignment of a frame comparable with the true one, because noise weakens the true one.
+/// A shift is a period only if the agreeing tiles under it outnumber the disagreeing ones by at least this share of all
+/// tiles with contrast. This is half of the share of evidence that makes a shifted alignment of a frame comparable with
+/// the true one (`COMPARABLE_EVIDENCE`), because noise reduces the evidence of the true one.
 const LEAST_EVIDENCE: f64 = 0.2;
-/// Most periods that are returned, the most similar first.
+/// Largest number of periods that are returned. The shifts with the greatest similarity are used.
 const MOST: usize = 6;
 
 /// The shifts, in pixels of the full size, under which `picture` matches itself; none if it does not repeat. Of a shift
@@ -63,13 +65,13 @@ pub(crate) fn periods(picture: &GreyPyramid, max_shift: f64) -> Vec<(f64, f64)> 
             |at: usize, shift: isize, length: usize| at.checked_add_signed(shift).is_some_and(|at| at + SIDE <= length);
         let (mut alike, mut unlike) = (Vec::with_capacity(patches.len()), 0);
         for ((left, top), pattern) in &patches {
-            // A patch near the border is compared in the opposite direction.
+            // If the shift moves a patch outside the picture, the patch is compared in the opposite direction.
             let is_inside = |&(dx, dy): &Shift| within(*left, dx, width) && within(*top, dy, height);
             let Some(shift) = [(dx, dy), (-dx, -dy)].into_iter().find(is_inside) else { continue };
             let correlation = pattern.correlation(&warped, shift);
             alike.push(correlation);
             unlike += usize::from(f64::from(correlation) < ALIKE);
-            // The median is below the limit, whatever the others are.
+            // The median is below `ALIKE`, whatever the similarity of the remaining patches is.
             if 2 * unlike > patches.len() && alike.len() >= LEAST_PATCHES {
                 break;
             }
@@ -77,7 +79,7 @@ pub(crate) fn periods(picture: &GreyPyramid, max_shift: f64) -> Vec<(f64, f64)> 
         if alike.len() < LEAST_PATCHES { f64::NAN } else { median(alike).map_or(f64::NAN, f64::from) }
     };
     let steps = (max_shift * width.max(height) as f64) as isize / STRIDE;
-    // Shifts by d and by -d give the same, so half of them suffice.
+    // Shifts by d and by -d have the same similarity, so half of them suffice.
     let side = 2 * steps + 1;
     let all: Vec<f64> = (0..side * (steps + 1))
         .into_par_iter()
@@ -109,8 +111,8 @@ pub(crate) fn periods(picture: &GreyPyramid, max_shift: f64) -> Vec<(f64, f64)> 
     periods
 }
 
-/// The refined `shift`, in pixels of the full size, if tiles all over the picture match under it: the few patches above
-/// may only be similar, as the parts of a lampshade are.
+/// Returns the refined shift, in pixels of the full size, if tiles all over the picture match under it. The few patches
+/// of [`periods`] may also match in a picture that does not repeat, for example on the parts of a lampshade.
 fn confirmed(pair: &FramePair, (dx, dy): (f64, f64)) -> Option<(f64, f64)> {
     let (width, height) = pair.size();
     let measured = measured_level(pair.reference());
@@ -141,7 +143,8 @@ mod tests {
         for seed in 1..6 {
             let scene = Scene::new(seed);
             assert_eq!(periods(&taken(&|x, y| scene.radiance(x, y)), REACH), [], "{seed}");
-            // A skyline looks much the same a little to the side, and more so the less it is shifted.
+            // A skyline is similar to itself under a small shift, and the more so the smaller the shift: this is not a
+            // period.
             let skyline = |x: f64, y: f64| if y < 150.0 + 0.1 * x { 4.0 } else { 0.1 * scene.radiance(x, y) };
             assert_eq!(periods(&taken(&skyline), REACH), [], "{seed}");
             let facade = |x: f64, y: f64| {
@@ -149,7 +152,7 @@ mod tests {
                 if is_wall { scene.radiance(x.rem_euclid(34.0), y.rem_euclid(41.0)) } else { scene.radiance(x, y) }
             };
             let found = periods(&taken(&facade), REACH);
-            // Shifts of two pixels are compared.
+            // The shifts that are compared are two pixels apart.
             let has = |dx: f64, dy: f64| found.iter().any(|(x, y)| (x - dx).abs() <= 2.0 && (y - dy).abs() <= 2.0);
             assert!(has(34.0, 0.0) && has(0.0, 41.0), "{seed}: {found:?}");
         }

@@ -27,8 +27,9 @@ fn the_truth_is_borne_out_and_errors_are_measured() {
         let tiles = right.agreeing + right.disagreeing + right.undecided;
         assert_eq!(tiles, 16 * 10, "480 x 320 in tiles of 30");
         assert!(right.disagreeing == 0 && 2 * right.agreeing > tiles, "{right:?}");
-        // A tile of 900 pixels is placed to some hundredths of a pixel (`TILE_NOISE_PX`).
-        assert!(right.offset < 0.1 && right.correlation > 0.9, "{right:?}");
+        // The position of a tile of 900 pixels is measured with an error of some hundredths of a pixel
+        // (`TILE_NOISE_PX`).
+        assert!(right.offset < 0.1, "{right:?}");
         // All tiles measure an error of half a pixel.
         let near = agreement_of(&reference, &frame, &rigid(4.3 + 0.3, -2.2 - 0.4, 0.6));
         assert!(near.disagreeing == 0 && (near.offset - 0.5).abs() < 0.1, "{near:?}");
@@ -60,7 +61,7 @@ fn plain_and_clipped_pictures_are_silent() {
     let found = agreement_of(&plain, &plain, &Transform::Identity);
     assert_eq!((found.agreeing, found.disagreeing, found.undecided), (0, 0, 160));
     assert_eq!(found.share(), 0.3);
-    // Eleven stops up all is clipped; eleven down all is black.
+    // At +11 EV all pixels are clipped, at -11 EV all are black.
     for ev in [11.0, -11.0] {
         let found =
             agreement_of(&taken(&Transform::Identity, 0.0), &taken(&Transform::Identity, ev), &Transform::Identity);
@@ -72,15 +73,16 @@ fn plain_and_clipped_pictures_are_silent() {
 fn outside_the_frame_tiles_are_silent() {
     let truth = shift(120.0, 0.0);
     let found = agreement_of(&taken(&Transform::Identity, 0.0), &taken(&truth, 0.5), &truth);
-    // Columns beyond 360 - 3 are not in the frame: four of the sixteen columns of tiles and the one that the border's
-    // margin cuts.
+    // The frame does not show the columns from 360 on: at least four of the sixteen columns of tiles are undecided,
+    // with ten tiles each.
     assert!(found.undecided >= 40 && found.agreeing + found.disagreeing <= 120 && found.agreeing > 60, "{found:?}");
     assert_eq!(found.disagreeing, 0, "{found:?}");
 }
 
 #[test]
 fn gain_and_offset_do_not_matter() {
-    // The planes as they are, without the intensity map, which would take them off: correlation must do it.
+    // The frame's plane is replaced by its grey values without the intensity map, which would remove gain and offset:
+    // the correlation must not depend on them.
     let float = |p: &Plane<u8>, gain: f32, offset: f32| {
         Plane::from_vec(SIZE.0, SIZE.1, p.as_slice().iter().map(|&v| gain * f32::from(v) + offset).collect())
     };
@@ -89,11 +91,16 @@ fn gain_and_offset_do_not_matter() {
     let mut both = CommonExposure::new(&a, &b, &tones);
     let plain = float(&b, 1.0, 0.0);
     both.frame = plain.clone();
-    let one = check_tiles(&both, &Matrix3::identity()).agreement;
+    let one_check = check_tiles(&both, &Matrix3::identity());
+    let one = &one_check.agreement;
     assert!(one.agreeing > 100);
     both.frame = float(&b, 0.5, 64.0);
-    let other = check_tiles(&both, &Matrix3::identity()).agreement;
+    let other_check = check_tiles(&both, &Matrix3::identity());
+    let other = &other_check.agreement;
     assert_eq!((one.agreeing, one.disagreeing, one.undecided), (other.agreeing, other.disagreeing, other.undecided));
-    // Sums of 900 products of floats.
-    assert!((one.offset - other.offset).abs() < 1e-2 && (one.correlation - other.correlation).abs() < 1e-2);
+    // The tolerances allow for rounding errors in sums of 900 products.
+    assert!((one.offset - other.offset).abs() < 1e-2);
+    for (a, b) in one_check.correlations.iter().flatten().zip(other_check.correlations.iter().flatten()) {
+        assert!((a - b).abs() < 1e-2, "{a} {b}");
+    }
 }

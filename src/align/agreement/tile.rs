@@ -45,7 +45,7 @@ struct Correlations<'a> {
     known: [[Option<f32>; SPAN]; SPAN],
 }
 
-/// Shifts along an axis.
+/// Number of shifts along an axis.
 const SPAN: usize = 2 * REACH as usize + 1;
 
 impl Correlations<'_> {
@@ -88,7 +88,7 @@ impl Correlations<'_> {
 
 /// Checks the tile of `side` x `side` pixels whose top-left pixel is (`left`, `top`).
 ///
-/// `unmoved` is the frame without any motion; none where the transform does not move the tile.
+/// `unmoved` returns the frame without any motion; none where the transform moves the tile by no more than [`REACH`].
 pub(super) fn check_tile<'w>(
     both: &CommonExposure,
     warped: &Warped,
@@ -103,7 +103,8 @@ pub(super) fn check_tile<'w>(
         return Tile::Undecided;
     }
     let mut best = correlations.climb((0, 0));
-    // Smoothed planes have smooth correlations: other maxima within reach are visible from the edge.
+    // The planes are smoothed, so the correlation is smooth: a higher maximum within reach raises it at the edge of the
+    // range too.
     for start in RIM {
         if correlations.at(start) > best.0 {
             best = correlations.climb(start);
@@ -128,10 +129,10 @@ pub(super) fn check_tile<'w>(
     }
 }
 
-/// Shifts from which the search for other maxima starts.
+/// Shifts at the edge of the range, from which the search for other maxima starts.
 const RIM: [Shift; 8] = [(-3, -3), (0, -3), (3, -3), (-3, 0), (3, 0), (-3, 3), (0, 3), (3, 3)];
 
-/// Least correlation of a tile that did not move.
+/// A tile counts as still only if its correlation with the unmoved frame exceeds this.
 const LEAST_STILL: f32 = 0.7;
 
 /// Least correlation of an agreeing tile.

@@ -4,20 +4,20 @@
 //! estimate. Cost: negligible compared with the check. Source: Newton's method on the sum of the correlations; tiles on
 //! moving objects are down-weighted (Tukey's biweight).
 //!
-//! Flare, motion blur, and noise that bends the intensity map displace the grey values of all edges to the same side,
-//! and [`refinement`](crate::align::refinement) follows them. Correlation does not depend on a tile's own gain and
-//! offset.
+//! Flare, motion blur, and noise that bends the intensity map change the grey values at all edges in the same
+//! direction, and [`refinement`](crate::align::refinement) takes this for motion. The fit to the tiles is not affected,
+//! because correlation does not depend on a tile's own gain and offset.
 
 use crate::align::agreement::{TileCheck, TileDisplacement};
 use crate::align::transform::{Increment, Model};
 use crate::statistics::{MEDIAN_SQUARE, TUKEY, biweight, median};
 use nalgebra::{DMatrix, DVector, Matrix3};
 
-/// Fewest tiles for a fit.
+/// With fewer tiles than this, nothing is fitted.
 const LEAST_TILES: usize = 8;
 /// Factor by which the standard error is increased because neighbouring tiles are correlated.
 const CORRELATION_FACTOR: f64 = 1.5;
-/// Rounds of reweighting.
+/// Number of rounds of reweighting.
 const ROUNDS: usize = 5;
 
 /// The transform fitted to the displacements of the tiles.
@@ -25,11 +25,12 @@ const ROUNDS: usize = 5;
 pub(crate) struct TileFit {
     /// The fitted transform, in pixels of the planes.
     pub(crate) h: Matrix3<f64>,
-    /// Its distance from the one that was checked, as root mean square over the picture, in pixels of the planes.
+    /// Its distance from the transform that was checked, as root mean square over the picture, in pixels of the planes.
     pub(crate) moved: f64,
     /// Its error estimate, in the same unit.
     pub(crate) error: f64,
-    /// The change in units of its error: about 1 if the transform was right.
+    /// The root mean square change of the parameters, in units of its error: about 1 if the transform that was checked
+    /// is right.
     pub(crate) significance: f64,
 }
 

@@ -11,9 +11,9 @@ use crate::align::bitmaps::difference::{Difference, Mismatches, difference_shift
 use crate::align::bitmaps::{Motion, Rounding, ThresholdBitmaps};
 use nalgebra::{SMatrix, SVector};
 
-/// Step below which the descent ends, in pixels of the level.
+/// The descent ends after a step that is shorter than this, in pixels of the level.
 const SETTLED: f64 = 0.02;
-/// Least share of the pixels that must be compared for a valid rate (share of differing pixels).
+/// The rate (share of differing pixels) is valid only if at least this share of the pixels is compared.
 pub(crate) const LEAST_COMPARED: f64 = 0.1;
 /// Number of cells along a side of the picture. Each cell gives observations of the motion.
 const CELLS: usize = 6;
@@ -21,7 +21,7 @@ const CELLS: usize = 6;
 const PRIOR_PX: f64 = 1.0;
 /// The largest step of a round, in pixels of the level: that of the farthest displacement in [`STEPS`].
 const LONGEST_STEP: f64 = 2.0;
-/// Number of times that the observations are reweighted by their residuals.
+/// Number of times that the observations are weighted again by their residuals.
 const REWEIGHTED: usize = 3;
 /// Displacements at which mismatches are counted, in pixels.
 const STEPS: [i64; 5] = [-2, -1, 0, 1, 2];
@@ -148,8 +148,9 @@ impl<'a> Descent<'a> {
     /// Returns the differing pixels under `motion`, and its error estimate: root mean square over the picture, in
     /// pixels of the level.
     ///
-    /// The error combines the uncertainty of the fitted shift and rotation with the change that a homography fitted to
-    /// the same observations would make, less the part of that change that is expected by chance.
+    /// The square of the error is the sum of two parts: the variance of the fitted shift and rotation, and the mean
+    /// square change that a homography fitted to the same observations would make, minus the part of this change that
+    /// is expected by chance.
     pub(crate) fn assess(&mut self, motion: &Motion) -> (Difference, f64) {
         let observations = self.observations(motion);
         let difference = difference_shifted(self.reference, &self.warped, 0, 0);
@@ -215,7 +216,8 @@ impl<'a> Descent<'a> {
                     let [none, near, far] =
                         [none_on + none_back, on[0] + back[0], on[1] + back[1]].map(|n: u64| n as f64);
                     let asymmetry = [0, 1].map(|k| back[k] as f64 - on[k] as f64);
-                    // Growth, asymmetry, and variance of the asymmetry, each for a displacement of 1.
+                    // The growth of the counts, their asymmetry, and the variance of the asymmetry, each for a
+                    // displacement of one pixel.
                     let wide = ((far - near) / 2.0, (asymmetry[0] + asymmetry[1]) / 4.0, (near + far) / 16.0);
                     let narrow = ((near - none) / 2.0, asymmetry[0] / 2.0, near / 4.0);
                     let weight = |(growth, _, variance): (f64, f64, f64)| growth * growth / variance.max(1.0);

@@ -30,8 +30,8 @@ pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, optio
             (a.dx - b.dx).abs().max((a.dy - b.dy).abs()) > 1.0 || (a.angle - b.angle).abs() > turn
         };
         if candidates.len() > 1 || !is_certain {
-            // Drops candidates with a much higher rate of differing pixels: sub-pixel refinement would not make up for
-            // it.
+            // Drops candidates whose rate of differing pixels is much higher than the lowest: sub-pixel refinement
+            // would not reduce it enough.
             let descended: Vec<(f64, Motion)> = candidates.iter().map(|&c| descent.descend_by_pixels(c)).collect();
             let least = descended.iter().fold(f64::INFINITY, |least, (rate, _)| rate.min(least));
             let near = descended.into_iter().filter(|(rate, _)| !is_certain || *rate <= MOST_EXCESS * least).collect();
@@ -63,7 +63,8 @@ pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, optio
     }
 }
 
-/// Finds further motions under which the bitmaps nearly agree, because facades repeat or surfaces are uniform.
+/// Finds further motions under which the bitmaps nearly agree. There are such motions if facades repeat or surfaces are
+/// uniform.
 ///
 /// Tries all shifts on a level of moderate size, each with a rotation by `angle` radians. Returns at most `most`
 /// distinct motions, the best first.
@@ -126,8 +127,8 @@ impl BitmapPair {
 
     /// Returns the largest horizontal and vertical shift searched, in pixels of this level.
     ///
-    /// The shifts are limited by [`MOST_WORK`], and so that an overlap remains. Neither limit matters for pictures less
-    /// than four times as long as wide.
+    /// The shifts are limited so that the work is at most [`MOST_WORK`] and an overlap of the frames remains. Neither
+    /// limit matters for pictures less than four times as long as wide.
     fn reach(&self, max_shift: f64) -> (i64, i64) {
         let (width, height) = self.size();
         let reach = libm::ceil(max_shift * width.max(height) as f64) as i64;
@@ -203,7 +204,8 @@ fn exclusion_at(level: usize, exclusion: u8) -> u8 {
 /// A motion of at most this multiple of its error estimate is treated as no motion.
 const SIGNIFICANT: f64 = 2.0;
 
-/// Least short side of the level on which alternatives are searched, in pixels: fine enough for the periods of facades.
+/// Alternatives are searched on the level whose short side has at least this many pixels and less than twice as many.
+/// It is fine enough for the periods of facades.
 const ALTERNATIVES_SIDE: usize = 128;
 
 /// Largest number of bitmap words compared per angle where every shift is tried, which takes some tenths of a second.
@@ -218,8 +220,8 @@ const BEAM: usize = 9;
 /// A candidate whose rate of differing pixels is more than this multiple of the lowest is dropped.
 const MOST_EXCESS: f64 = 1.5;
 
-/// Smallest short side of a level, in pixels, for refinement to fractions of a pixel; from that level on, only the best
-/// candidate is followed.
+/// On levels whose short side has at least this many pixels, motions are refined to fractions of a pixel, and only the
+/// best candidate is followed.
 const CERTAIN_SIDE: usize = 200;
 
 /// Number of rounds of the descent on each level but the last.

@@ -17,14 +17,14 @@ fn balance_at(histogram: &Histogram, zone: &Zone) -> f64 {
     histogram.share_below(zone.low.into()).min(1.0 - histogram.share_below(usize::from(zone.high) + 1))
 }
 
-/// Least share of pixels on either side of the zone for a bitmap with enough structure: half of the 17 % beyond Ward's
-/// outer percentiles.
+/// A bitmap has enough structure if at least this share of the pixels is on each side of the zone. The value is half of
+/// the 17 % beyond Ward's outer percentiles.
 const LEAST_BALANCE: f64 = 0.085;
 
 /// Returns the percentile at which the bitmaps of both frames have structure.
 ///
-/// This is the median, unless that leaves less than [`LEAST_BALANCE`] of a frame's pixels on one side of the zone; then
-/// it is the multiple of five percent with the best balance.
+/// This is the median, unless the median leaves less than [`LEAST_BALANCE`] of a frame's pixels on one side of the
+/// zone; then it is the multiple of five percent with the best balance.
 pub fn common_percentile(a: &Histogram, b: &Histogram, exclusion: u8) -> Percentile {
     let balance = |p| {
         let (zone_a, zone_b) = matched_zones(a, b, p, exclusion);
@@ -115,7 +115,8 @@ mod tests {
             let cut = |p: &Plane<u8>, z: &Zone| crate::align::bitmaps::bitmap::ThresholdBitmaps::new(p, z);
             assert_eq!(cut(&bright, &zone_bright), cut(&dark, &zone_dark), "{percentile:?}");
             let level = b.value_at(percentile);
-            // The dark frame's zone contains the larger share of the pixels, so it is as for that frame alone.
+            // The dark frame's own zone contains the larger share of the pixels, so it is not changed by the other
+            // frame.
             assert_eq!(zone_dark, Zone::about(level, 4), "{percentile:?}");
             assert_eq!(usize::from(zone_bright.low), 2 * usize::from(zone_dark.low));
             assert_eq!(matched_zones(&b, &a, percentile, 4), (zone_dark, zone_bright));

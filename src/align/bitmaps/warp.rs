@@ -227,7 +227,8 @@ mod tests {
             let sum = all.iter().fold((0, 0), |s, p| (s.0 + p.0, s.1 + p.1));
             [sum.0 as f64 / all.len() as f64, sum.1 as f64 / all.len() as f64]
         };
-        // In n elements of such a sequence, the share deviates from an even distribution by a few times ln n / n.
+        // In n elements of such a sequence, the share of any value differs from that of an even distribution by a few
+        // times ln n / n.
         for (words, rows, most) in
             [(0..36, 0..1700, 0.002), (5..6, 0..1700, 0.01), (0..36, 700..702, 0.06), (8..16, 300..310, 0.06)]
         {

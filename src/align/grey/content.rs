@@ -41,8 +41,8 @@ pub(crate) struct Detail {
     /// Whether more than half of the frame is bright (median above 127): detail is then what differs from the white of
     /// the frame; otherwise it is what differs from its black.
     pub(crate) is_white: bool,
-    /// The least grey value that counts as detail, or the largest in a white frame, after
-    /// [brightening](Content::brightening_stops).
+    /// The limit of the grey values that count as detail, after [brightening](Content::brightening_stops). Detail is
+    /// this value and brighter ones; in a frame that [is white](Self::is_white), this value and darker ones.
     pub(crate) value: u8,
     /// The share of the pixels with detail, 0..=1.
     pub(crate) share: f64,
@@ -75,7 +75,7 @@ pub(crate) fn content_and_pyramid(frame: &Frame) -> Result<(Content, GreyPyramid
 
 /// Largest difference of grey values that noise alone may cause.
 const NEARLY_UNIFORM: u8 = 7;
-/// Least brightening, in stops: less is not worth the time.
+/// A frame that could be brightened by fewer stops than this is not brightened: it is not worth the time.
 const LEAST_BRIGHTENING: u32 = 2;
 /// Largest brightening, in stops: more would only amplify noise.
 const MOST_BRIGHTENING: u32 = 6;

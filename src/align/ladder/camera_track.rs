@@ -5,15 +5,15 @@
 //!
 //! The model of a hand-held camera is a random walk in the picture plane. The step from frame to frame is normal and
 //! isotropic, with an unknown variance that is proportional to the time between them. The most likely transform between
-//! two frames is then interpolated linearly in time; before the first or after the last frame, it is that frame's. With
-//! K observed steps, the squared distance from there, divided by its expectation from the steps, has the F distribution
-//! with 2 and 2 K degrees of freedom (each step has two components): Fisher 1925. Its quantiles have a closed form.
-//! Frames on a tripod have steps of 0 apart from the measurement error. Steps of many pixels lead to a bound that is
-//! too large for merging.
+//! two frames is then interpolated linearly in time; before the first or after the last frame, it is the transform of
+//! that frame. With K observed steps, the squared distance of the true transform from the most likely one, divided by
+//! its expectation from the steps, has the F distribution with 2 and 2 K degrees of freedom (each step has two
+//! components): Fisher 1925. Its quantiles have a closed form. Frames on a tripod have steps of 0 apart from the
+//! measurement error. Steps of many pixels lead to a bound that is too large for merging.
 //!
 //! Frames of a camera that shakes around one position, or scans, do not drift: they scatter about their mean,
-//! independent of time. Where that model is more likely by a Bayes factor of at least 20 (strong evidence according to
-//! Kass & Raftery 1995), the mean is used, with the scatter about it.
+//! independent of time. Where this second model is more likely by a Bayes factor of at least 20 (strong evidence
+//! according to Kass & Raftery 1995), the mean is used, with the scatter about it.
 
 use crate::align::ladder::reduction::UNMOVED_PX;
 use crate::align::transform::{Transform, distance};
@@ -119,12 +119,14 @@ impl CameraTrack {
             mean = between(&mean, &known.transform, 1.0 / (k + 1) as f64, self.size);
         }
         let (all, count) = (self.known.len() as f64, self.known.len() as f64 - 1.0);
-        // A motion up to this between two unmoved frames is not detected; half of its variance belongs to each.
+        // A motion between two frames of up to this squared length is not detected. Half of this variance belongs to
+        // each frame.
         let unseen = UNMOVED_PX * UNMOVED_PX;
         let scatter =
             self.known.iter().map(|known| self.far(&mean, &known.transform)).sum::<f64>() / count + 0.5 * unseen;
-        // Logarithm of the likelihood ratio of the steps. They are independent in a random walk; if frames scatter,
-        // their covariance along each axis has the determinant `all`.
+        // Logarithm of the likelihood ratio of the steps. They are independent in a random walk; if frames scatter, the
+        // covariance matrix of the steps along an axis is the variance of the scatter times a matrix with the
+        // determinant `all`.
         let wander: f64 = self.steps().map(|(_, elapsed)| libm::log(self.variance * elapsed + unseen)).sum();
         let gain = wander - count * libm::log(scatter) - libm::log(all);
         (gain > -libm::log(WORSE)).then_some((mean, scatter))
@@ -183,8 +185,8 @@ fn between(a: &Transform, b: &Transform, part: f64, (width, height): (usize, usi
             let [dx, dy, angle] = std::array::from_fn(|i| a[i] + part * (b[i] - a[i]));
             Transform::Rigid { dx, dy, angle }
         }
-        // Both have 1 at the lower right. For the small motions that can be inferred, interpolating the matrices
-        // interpolates the positions.
+        // Both matrices have 1 at the lower right. For the small motions that can be inferred, interpolating the
+        // matrices interpolates the positions.
         _ => {
             let (a, b) = (a.matrix(width, height), b.matrix(width, height));
             Transform::Homography(a + (b - a) * part)
@@ -217,7 +219,7 @@ mod tests {
         for time in [0.0, 6.0] {
             let place = track.at(time);
             assert_eq!(place.transform, Transform::Identity);
-            // By hand: 0.2 px that may be unseen, exceeded 1.73 times by 1 of 20.
+            // By hand: a motion of 0.2 px may be undetected, and 1 of 20 normal errors exceeds 1.73 times this.
             assert!((place.bound_px - 0.2 * 1.7308).abs() < 1e-4, "{place:?}");
         }
         assert!(track.is_still());
@@ -259,8 +261,9 @@ mod tests {
                 distance(&place.transform, &truth, SIZE.0, SIZE.1) <= place.bound_px
             };
             let kept = (0..2000).filter(|&seed| walk(seed)).count();
-            // Twice the standard deviation of a count of 2000 at 5 % is 20; a choice between the two kinds of camera
-            // that is wrong costs as much, and what may have moved unseen widens the bound.
+            // Expected are 95 % of 2000, that is, 1900. Twice the standard deviation of this count is 20, and wrong
+            // choices between the two kinds of camera cost up to 20 more. The count may be larger, because the
+            // allowance for undetected motion widens the bound.
             assert!((1860..=1990).contains(&kept), "{seen} {wanders}: {kept}");
         }
     }

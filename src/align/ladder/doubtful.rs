@@ -118,7 +118,8 @@ impl Search<'_> {
         (Placement::Placed(estimate(&reduced)), found)
     }
 
-    /// Frame `n` on the reference's grid, if it was placed. Transforms to it are in the reference's pixels.
+    /// Frame `n`, warped to the reference's grid, if it was placed. A transform found against this target therefore
+    /// maps pixels of the reference.
     pub(crate) fn neighbour_target(&self, n: usize, placement: &Placement) -> Option<Target<'_>> {
         let transform = placement.transform()?;
         let pyramid = match transform {

@@ -25,12 +25,13 @@ const MOST_EXPECTED_ERROR: f64 = 2.0;
 /// Share of pixels with detail up to which a frame is nearly black or nearly white. Lamps and windows of interiors are
 /// up to a tenth of the pixels; in normally exposed photographs nearly all pixels have detail.
 const LITTLE_DETAIL: f64 = 0.25;
-/// Least share of pairs of pixels that have the same order of brightness in the neighbour: halfway between chance and
-/// all.
+/// A transform is assumed only if at least this share of pairs of pixels have the same order of brightness in the
+/// neighbour. The value is halfway between chance (0.5) and all pairs (1).
 const IN_ORDER: f64 = 0.75;
-/// Samples along the longer side.
+/// Largest number of samples along the longer side.
 const GRID: usize = 256;
-/// Fewest samples with detail, and without, for a result.
+/// The order of brightness is compared only if at least this many samples have detail, and at least this many have
+/// none.
 const LEAST_SAMPLES: u64 = 16;
 
 impl Search<'_> {
@@ -130,8 +131,8 @@ impl Search<'_> {
     }
 }
 
-/// The share of all pairs of a pixel with detail and one without in `frame` whose order of brightness is the same in
-/// `target`, to which `place` aligns it.
+/// Returns the share of pairs of pixels of `frame`, one with detail and one without, whose order of brightness is the
+/// same in `target`, to which `place` aligns `frame`.
 ///
 /// Ties count half; none if there are too few samples. (The statistic of Mann & Whitney 1947.)
 fn brightness_order(
@@ -145,7 +146,7 @@ fn brightness_order(
     let h = on_level(&place.transform.matrix(size.0, size.1), level);
     let (target, frame) = (target.level(level), frame.level(level));
     let step = width.max(height).div_ceil(GRID);
-    // By the target's grey value: samples of the frame without and with detail.
+    // For each grey value of the target: the number of samples without detail in the frame, and the number with detail.
     let mut counts = [[0u64; 2]; 256];
     for y in (0..height).step_by(step) {
         for x in (0..width).step_by(step) {
@@ -196,7 +197,7 @@ mod tests {
         for (ev, is_white) in [(-5.0, false), (3.0, true)] {
             let in_order = |seed| {
                 let frame = take(seed, ev);
-                // The brightest tenth of the black frame, and the darkest of the white one.
+                // Detail is the brightest tenth of the black frame, and the darkest tenth of the white one.
                 let histogram = Histogram::of(&frame);
                 let level = (0..=u8::MAX).find(|&v| histogram.share(0..=v) > if is_white { 0.1 } else { 0.9 }).unwrap();
                 let detail = Detail { is_white, value: level, share: 0.1 };

@@ -1,9 +1,9 @@
 //! The local check: how much of the picture the transform of a frame does not fit.
 //!
-//! In: the placements of all frames. Out: the same, with the share of the picture that is displaced, the error and
-//! confidence that follow, and with `auto` the transform of the dominant motion where it fits more of the picture.
-//! Cost: that of a [`LocalField`] for each frame. The planes of a frame are made again, unless it was settled by the
-//! bitmaps and is checked at once.
+//! In: the placements of all frames. Out: the same placements, with the share of the picture that is displaced, the
+//! error and confidence that follow from it, and with `auto` the transform of the dominant motion where it fits more of
+//! the picture. Cost: that of a [`LocalField`] for each frame. The planes of a frame are made again, unless it was
+//! settled by the bitmaps and is checked at once.
 
 use crate::align::AlignMode;
 use crate::align::ladder::Search;
@@ -14,7 +14,7 @@ use crate::align::result::{Estimate, Placement};
 use crate::align::transform::Model;
 use crate::plane::map_at_once;
 
-/// The local check of a frame.
+/// The local check of a frame: its estimate before and after the check.
 pub(crate) struct LocalCheck {
     before: Estimate,
     after: Estimate,
@@ -49,11 +49,11 @@ impl Search<'_> {
             .get_or_init(|| LocalCheck { before: estimate.clone(), after: self.checked_locally(pair, estimate) });
     }
 
-    /// The estimate with what the local displacements add to its error; in [`AlignMode::Auto`] with the transform of
-    /// the dominant motion, if the frame moved.
+    /// Returns `estimate` with an error and a confidence that include the local displacements; in [`AlignMode::Auto`]
+    /// with the transform of the dominant motion, if the frame moved.
     fn checked_locally(&self, pair: &FramePair, estimate: &Estimate) -> Estimate {
         let field = LocalField::new(pair, &estimate.transform);
-        // A frame of a tripod is not resampled because things moved.
+        // Things that moved in the scene are no reason to resample a frame from a tripod.
         let is_moved = estimate.model != Model::Unmoved;
         let dominant = if self.options.mode == AlignMode::Auto && is_moved { field.dominant() } else { None };
         let (field, estimate) = match dominant {

@@ -53,9 +53,9 @@ pub(crate) struct Search<'a> {
     pub(crate) contents: &'a [Content],
     /// The capture time of each frame: in seconds, or its position in the order of capture.
     pub(crate) capture_times: &'a [f64],
-    /// Most frames that are compared at a time.
+    /// Largest number of frames that are compared at a time.
     pub(crate) compared_at_once: usize,
-    /// Most frames whose features are detected at a time.
+    /// Largest number of frames whose features are detected at a time.
     pub(crate) detected_at_once: usize,
     pub(crate) reference: usize,
     /// The placement of each frame for which one is preset.

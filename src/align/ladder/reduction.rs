@@ -1,7 +1,7 @@
 //! Model selection: the smallest model that explains a motion as well as the homography that was found.
 //!
 //! In: a pair of frames and a [`Candidate`]. Out: a candidate of the smallest sufficient [`Model`]. Cost: a refinement
-//! on the finest level for each smaller model that is near.
+//! on the finest level for each smaller model that is near the homography.
 
 use crate::align::grey::{finest_level, measured_level};
 use crate::align::ladder::candidate::Candidate;
@@ -61,7 +61,8 @@ pub(crate) fn reduce(pair: &FramePair, whole: Candidate) -> Candidate {
         };
         let apart = distance(&whole.transform, &smaller.transform, width, height);
         if apart <= SAME_PX.max(uncertainty_px) {
-            // The error of the larger model bounds that of the smaller one.
+            // The smaller model was only compared with the homography, so its error estimate is at least half of the
+            // homography's.
             let noise_px = smaller.error_px.max(0.5 * whole.error_px);
             let candidate = checked(smaller.transform, noise_px, apart);
             if candidate.agreement().share() >= whole.agreement().share() - 0.02
@@ -74,5 +75,6 @@ pub(crate) fn reduce(pair: &FramePair, whole: Candidate) -> Candidate {
     whole
 }
 
-/// Least distance between transforms that tiles distinguish, in pixels of the level on which they are measured.
+/// Tiles distinguish two transforms only if their distance exceeds this, in pixels of the level on which tiles are
+/// measured.
 const ALIKE: f64 = 0.1;

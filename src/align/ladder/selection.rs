@@ -53,9 +53,10 @@ impl Candidates {
 
     /// The selected candidate and its target.
     ///
-    /// This is the best, unless another one against the same target with comparable evidence is decisively better on
-    /// the tiles that are decided under both. Then it is the one whose worst comparison with all others is best. (Under
-    /// a shift by a facade's period, other tiles are outside the frame and undecided.)
+    /// This is the best candidate, unless another one against the same target with comparable evidence is decisively
+    /// better on the tiles that are decided under both. Then the candidate is selected whose worst comparison with the
+    /// others is best. (A wrong shift, by a period of a facade, may have more evidence only because more of its tiles
+    /// are inside the frame.)
     pub(super) fn winner(&self, alike: impl Fn(&Candidate, &Candidate) -> bool) -> Option<(usize, &Candidate)> {
         let (target, best) = self.best()?;
         let contenders = self.alternatives(target, best, |_| true);
@@ -71,8 +72,8 @@ impl Candidates {
         Some((target, winner.1))
     }
 
-    /// The candidates against the same target with comparable evidence for which `is_other` is true, possibly `best`
-    /// too.
+    /// The candidates against `target` whose evidence is comparable with that of `best` and for which `is_other` is
+    /// true. `best` may be one of them.
     fn alternatives(&self, target: usize, best: &Candidate, is_other: impl Fn(&Candidate) -> bool) -> Vec<&Candidate> {
         let least = COMPARABLE_EVIDENCE * best.evidence();
         let same_target = self.0.iter().filter(|(b, _)| *b == target).map(|(_, c)| c);
@@ -133,7 +134,7 @@ mod tests {
     use crate::align::scene::shift;
     use std::sync::Arc;
 
-    /// A candidate that moves by `x` pixels, with so many tiles that agree and disagree, in all parts of the picture.
+    /// A candidate that moves by `x` pixels, with `agreeing` and `disagreeing` tiles in all parts of the picture.
     fn candidate(x: f64, agreeing: usize, disagreeing: usize) -> Candidate {
         let agreement = Agreement { agreeing, disagreeing, parts: 9.min(agreeing), ..Agreement::default() };
         let correlation = |i| Some(if i < agreeing { 0.95 } else { 0.1 });
@@ -161,7 +162,8 @@ mod tests {
         a.transform.corner_distance(&b.transform, 480, 320) < 1.0
     }
 
-    /// Tiles, and whether the candidate is settled, accepted, and its confidence within 0.01.
+    /// Each row of the table has the numbers of agreeing and of disagreeing tiles, then whether the candidate is
+    /// settled, whether it is accepted, and its confidence.
     #[test]
     fn candidate_by_its_tiles_is_settled_accepted_or_rejected() {
         let table = [
@@ -176,7 +178,7 @@ mod tests {
             // As many disagree: (10 + 1.5) / (20 + 5).
             ((10, 10), (false, true, 0.46)),
             ((10, 30), (false, false, 0.25)),
-            // Nothing decided, as of a black frame: the prior and half the coverage.
+            // No tile is decided, as in a black frame: the prior of 0.3 times the smallest coverage of one half.
             ((0, 0), (false, false, 0.15)),
         ];
         for ((agreeing, disagreeing), (settled, accepted, confidence)) in table {
@@ -222,8 +224,8 @@ mod tests {
         assert_eq!(all.uniqueness((target, winner), |c| !alike(c, winner)), 1.0);
     }
 
-    /// Of a facade: a shift by a period leaves other tiles outside the frame, so that fewer are decided but each
-    /// matches worse.
+    /// As with a facade that repeats: under a wrong shift by one period (here 40 px), more tiles are inside the frame
+    /// and decided than under the true shift (3 px), but each of them matches worse. The true shift must win.
     #[test]
     fn alternative_that_is_better_on_the_common_tiles_wins_over_more_tiles() {
         let weak = |x, tiles: usize, correlation| {

@@ -14,7 +14,7 @@ use crate::align::resampling::bilinear::BilinearRows;
 use crate::align::transform::{Model, Transform, corners, level_to_full, map, off_level};
 use crate::plane::Plane;
 
-/// Levels above that of agreement at which refinement starts: an error of 4 px is one pixel there.
+/// Refinement starts this many levels coarser than the level of agreement, where an error of 4 px is one pixel.
 const CAPTURE_LEVELS: usize = 2;
 
 /// The pyramid of `grey` warped to the reference's grid by `transform`. Pixels outside repeat the border.
@@ -53,9 +53,9 @@ pub(crate) fn by_alternatives(pair: &FramePair, angle: f64, options: &MtbOptions
     refined.into_iter().chain(rough).collect()
 }
 
-/// Most alternatives that are evaluated.
+/// Largest number of alternatives that are evaluated.
 const MOST_ALTERNATIVES: usize = 8;
-/// Most of them that are fully refined.
+/// Largest number of alternatives that are fully refined.
 const REFINED_ALTERNATIVES: usize = 2;
 
 /// Refines `start` as a homography, from `capture` levels above that of agreement, and checks it by tiles; corrects it
@@ -71,7 +71,8 @@ pub(crate) fn by_start(pair: &FramePair, start: &Transform, capture: usize) -> O
     Some(by_tiles(pair, &candidate, fit).unwrap_or(candidate))
 }
 
-/// The transform that the tiles fit, if it differs from `from` significantly and they agree better there.
+/// Returns the transform fitted to the tiles, if it differs significantly from that of `from` and matches the tiles
+/// better.
 fn by_tiles(pair: &FramePair, from: &Candidate, mut fit: Option<TileFit>) -> Option<Candidate> {
     let level = measured_level(pair.reference());
     let mut best = None;
@@ -96,11 +97,12 @@ fn by_tiles(pair: &FramePair, from: &Candidate, mut fit: Option<TileFit>) -> Opt
     best
 }
 
-/// Most corrections by tiles.
+/// Largest number of successive corrections by tiles.
 const TILE_STEPS: usize = 5;
-/// Least displacement of the tiles for a correction, as a multiple of its error ([`TileFit::significance`]).
+/// A correction is made only if the displacement of the tiles exceeds this multiple of its error
+/// ([`TileFit::significance`]).
 const LEAST_SIGNIFICANCE: f64 = 2.0;
-/// Least displacement of the tiles for a correction, in pixels of their level.
+/// A correction is made only if the displacement of the tiles exceeds this, in pixels of their level.
 const LEAST_TILE_MOVE: f64 = 0.05;
 
 /// Whether a hand-held camera can cause this transform: no corner moves by a third of the diagonal, and no side becomes

@@ -1,4 +1,4 @@
-//! One frame: the model that is chosen, and what holds a wrong one off.
+//! Tests with one frame: which model is chosen, and that wrong transforms are not accepted.
 
 use super::*;
 use crate::align::bitmaps::MtbOptions;
@@ -30,8 +30,9 @@ fn the_smallest_model_that_explains_is_chosen() {
         let chosen = reduce(&pair, whole);
         let model = Model::of(&chosen.transform);
         assert_eq!(model, expected, "{:?}", chosen.transform);
-        // A homography's corners are good to 0.05 px here (see `refine`), and a smaller model is taken where it is as
-        // near as the error.
+        // The corners of the homography have an error of up to 0.05 px here (see `refine`). A model with fewer
+        // parameters is chosen if it differs from the homography by no more than this error, so its corners may be
+        // wrong by twice as much.
         let error = chosen.transform.corner_distance(&truth, SIZE.0, SIZE.1);
         assert!(error < 0.1, "{error} px for {expected:?}");
         assert!(chosen.confidence() > 0.8, "{chosen:?}");
@@ -46,7 +47,8 @@ fn bitmaps_settle_an_ordinary_pair() {
         let found = by_bitmaps(&reference, &frame, &MtbOptions::default()).1.unwrap();
         assert!(found.is_settled(), "{found:?}");
         assert!(found.transform.corner_distance(&truth, SIZE.0, SIZE.1) < 0.1, "{found:?}");
-        // The stated error must cover the actual one, and be of its order: corners are good to 0.05 px (see `refine`).
+        // The stated error must exceed the actual one, but not by much: the corners have an error of up to 0.05 px (see
+        // `refine`).
         let error = distance(&found.transform, &truth, SIZE.0, SIZE.1);
         assert!(error < found.error_px && found.error_px < 0.05, "{error} against {}", found.error_px);
     }

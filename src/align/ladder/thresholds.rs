@@ -5,9 +5,10 @@
 
 // When bitmaps suffice.
 
-/// Fewest agreeing tiles of a settled candidate. Chosen on rendered brackets.
+/// A candidate is settled only if at least this many tiles agree. Chosen on rendered brackets.
 pub(super) const SETTLED_AGREEING: usize = 12;
-/// Least number of decided tiles per disagreeing tile of a settled candidate. Chosen on rendered brackets.
+/// A candidate is settled only if it has at least this many decided tiles for each disagreeing tile. Chosen on rendered
+/// brackets.
 pub(super) const SETTLED_DECIDED_PER_DISAGREEING: usize = 40;
 /// Largest error estimate of a settled candidate, in pixels of the full size: half a pixel still shows no double edge.
 pub(super) const SETTLED_ERROR_PX: f64 = 0.5;
@@ -17,15 +18,17 @@ pub(super) const SETTLED_ERROR_PX: f64 = 0.5;
 /// Smallest confidence, 0..=1, of an accepted candidate, unless nearly all tiles agree with it. Wrong transforms
 /// between different rendered scenes stay below it (test `another_scene_never_settles`).
 pub(super) const ACCEPTED_CONFIDENCE: f64 = 0.35;
-/// Fewest agreeing tiles of a candidate that nearly all tiles agree with. Low, because frames that are mostly black or
-/// clipped are often the important ones.
+/// A candidate with less confidence is accepted too if nearly all decided tiles agree, and at least this many. The
+/// number is small, because frames that are mostly black or clipped have few decided tiles but are often the important
+/// ones.
 pub(super) const UNOPPOSED_AGREEING: usize = 3;
-/// Least number of agreeing tiles per disagreeing tile of such a candidate. Chosen on rendered brackets.
+/// Nearly all decided tiles agree if at least this many agree for each one that disagrees. Chosen on rendered brackets.
 pub(super) const UNOPPOSED_AGREEING_PER_DISAGREEING: usize = 8;
-/// Least reliability of an accepted candidate with too little confidence, 0..=1. Chosen on rendered brackets.
-pub(super) const ACCEPTED_RELIABILITY: f64 = 0.25;
-/// Fewest decided tiles with which a rejection is explained by their disagreement rather than by their number. Chosen
+/// A candidate with less than [`ACCEPTED_CONFIDENCE`] must have at least this reliability to be accepted, 0..=1. Chosen
 /// on rendered brackets.
+pub(super) const ACCEPTED_RELIABILITY: f64 = 0.25;
+/// If at least this many tiles are decided, a rejection is explained by their disagreement, otherwise by their small
+/// number. Chosen on rendered brackets.
 pub(super) const EXPLAINING_TILES: usize = 8;
 /// Error estimate that halves the confidence of a candidate, in pixels, for pictures with a diagonal of up to 2000
 /// pixels. Chosen on rendered brackets.
@@ -40,10 +43,10 @@ pub(super) const TILE_NOISE_PX: f64 = 0.05;
 pub(super) const LATER_EVIDENCE_FACTOR: f64 = 1.01;
 /// ... plus this number of tiles, so that rounding of equal evidence does not decide.
 pub(super) const LATER_EVIDENCE_TILES: f64 = 0.5;
-/// Evidence, as a share of the best candidate's, from which a candidate is comparable with it. Chosen on rendered
-/// brackets.
+/// A candidate is comparable with the best one if it has at least this share of the best one's evidence. Chosen on
+/// rendered brackets.
 pub(super) const COMPARABLE_EVIDENCE: f64 = 0.4;
-/// Evidence for one candidate over another from which the choice is decided, in nats: odds of 7 to 1.
+/// Evidence for one candidate over another, in nats, above which it is decisively better: odds of 7 to 1.
 pub(crate) const DECISIVE_NATS: f64 = 2.0;
 
 // Features.
@@ -57,8 +60,8 @@ pub(super) const CORROBORATED_PX: f64 = 2.0;
 /// Transforms within this multiple of [`CORROBORATED_PX`] are estimates of the same transform; others are alternatives.
 /// Chosen on rendered brackets.
 pub(super) const SAME_APART: f64 = 3.0;
-/// Least support of a candidate on which bitmaps and features agree, 0..=1, for few decided tiles. Chosen on rendered
-/// brackets.
+/// If bitmaps and features agree on a candidate, its support by tiles is raised to at least this, 0..=1: few tiles may
+/// be decided. Chosen on rendered brackets.
 pub(super) const CORROBORATED_CONFIDENCE: f64 = 0.7;
 
 // Frames that are inferred from others.
@@ -72,6 +75,7 @@ pub(super) const INFERRING_CONFIDENCE: f64 = 0.5;
 
 // The local check.
 
-/// Displaced share of the picture that halves the confidence, so that it is below one half if 3 % are displaced.
-/// Smaller, because the share is underestimated at edges of depth. Measured on rendered scenes.
+/// Displaced share of the picture that halves the confidence. If 3 % of the picture are displaced, the confidence
+/// should be below one half. The value is smaller than 3 %, because the share is underestimated at edges of depth.
+/// Measured on rendered scenes.
 pub(super) const DISPLACED_HALVES: f64 = 0.025;

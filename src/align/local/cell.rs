@@ -3,12 +3,13 @@
 //! In: the sum of the paraboloids of the matches around a place. Out: a [`Cell`]. Cost: negligible. Source: the inverse
 //! covariance of a weighted mean.
 
-/// Squared displacement in units of its variance from which it is significant. Of independent normal vectors none would
-/// exceed it; matches of a noisy frame are maxima among many, and the errors of neighbours are correlated. Measured on
-/// rendered brackets.
+/// A displacement is significant if its square, in units of its variance, exceeds this. Independent normal errors would
+/// never exceed it, but matches of a noisy frame are maxima among many, and the errors of neighbours are correlated.
+/// Measured on rendered brackets.
 const SIGNIFICANT: f64 = 40.0;
-/// Slope of the correlation that a difference of the tones causes, per pixel of the level: it displaces the peak of a
-/// soft edge far, and that of a sharp edge hardly. Measured on rendered brackets that are out of focus.
+/// Slope of the correlation that a difference between the tones of the frames causes, per pixel of the level. This
+/// slope displaces the peak of a soft edge far, and that of a sharp edge hardly. Measured on rendered brackets that are
+/// out of focus.
 const TONE_SLOPE: f64 = 0.003;
 
 /// A cell of the field. All lengths are in pixels of the level.
@@ -16,7 +17,7 @@ const TONE_SLOPE: f64 = 0.003;
 pub(super) struct Cell {
     /// Its centre in the reference.
     pub(super) centre: [f64; 2],
-    /// Its displacement: a detail at x in the reference is where the transform maps x + d.
+    /// Its displacement d: a detail at x in the reference is found in the frame where the transform maps x + d.
     pub(super) displacement: [f64; 2],
     /// Inverse covariance of the displacement, [xx, xy, yy].
     pub(super) precision: [f64; 3],
@@ -41,7 +42,7 @@ pub(super) fn precision(sum: [f64; 3], count: f64, v: f64) -> [f64; 3] {
     let tones = k * TONE_SLOPE * TONE_SLOPE + 1e-12;
     let (a, c) = (xx + tones, yy + tones);
     let scale = k / (a * c - xy * xy);
-    // The rows of S (S + k t^2 I)^-1, and times S.
+    // (p, q) and (r, s) are the rows of S (S + k t^2 I)^-1 without its denominator; the result is this matrix times S.
     let (p, q) = (xx * c - xy * xy, xy * a - xx * xy);
     let (r, s) = (xy * c - yy * xy, yy * a - xy * xy);
     [scale * (p * xx + q * xy), scale * (p * xy + q * yy), scale * (r * xy + s * yy)]

@@ -6,9 +6,9 @@
 //! samples, scored by the number of inliers); Chum, Matas & Kittler, DAGM 2003 (the best samples are refined).
 //!
 //! Refinement minimises the difference of the pixels. Where parts of the picture move differently by a few pixels, its
-//! result is a compromise that fits none of them, and it fits the part with the strongest contrast best. Here all cells
-//! that are known better than the tolerance have nearly the same weight, whatever their contrast; a less precise one
-//! has less, and one that moves differently has none.
+//! result is a compromise that fits none of them, and it fits the part with the strongest contrast best. Here, all
+//! cells whose displacement is more precise than the tolerance have nearly equal weights, whatever their contrast. A
+//! less precise cell has a smaller weight, and a cell that moves differently has none.
 
 use crate::align::local::cell::{Cell, square};
 use crate::align::transform::{Increment, Model};
@@ -18,28 +18,29 @@ use std::cmp::Reverse;
 
 /// Tolerances that are tried in the refinement; the result that most cells fit is used. Each is the standard deviation,
 /// along an axis, of the displacements that a homography leaves, in pixels of the full size. A cell displaced by
-/// [`TUKEY`] times as much (0.9, 1.6 and 2.8 px) has no weight. The smallest tolerance makes the homography follow one
-/// of several planes, the largest a curved surface as a whole.
+/// [`TUKEY`] times the tolerance (0.9, 1.6 and 2.8 px) or more has no weight. The smallest tolerance makes the
+/// homography follow one of several planes, the largest a curved surface as a whole.
 const TOLERANCES_PX: [f64; 3] = [0.2, 0.35, 0.6];
 /// Displacement up to which a cell fits, in pixels of the full size: no double edge is visible.
 const FITS_PX: f64 = 1.0;
-/// Number of random samples. If half of the cells have the dominant motion, twelve of them draw four such cells.
+/// Number of random samples. If half of the cells have the dominant motion, about twelve samples consist of such cells
+/// only.
 const TRIALS: u64 = 200;
-/// Number of the starts that are refined: the best of the samples and of the present transform.
+/// Number of starts that are refined: the best among the motions of the samples and the present transform.
 const SETTLED: usize = 16;
 /// Number of cells of a sample: four determine a homography.
 const SAMPLE: usize = 4;
 /// Largest number of cells that a sample is compared with.
 const COMPARED: usize = 1500;
-/// Number of steps of reweighted least squares: (from a sample, at the end).
+/// Numbers of steps of reweighted least squares: in the refinement of each start, and at the end on all cells.
 const STEPS: (usize, usize) = (5, 10);
-/// Length along which displacements are alike, in cells: the misfit of so many cells squared counts as one observation
-/// for the prior and for the error estimate.
+/// Length over which displacements are alike, in cells. A square of cells with this side counts as one observation for
+/// the prior and for the error estimate.
 const ALIKE_CELLS: f64 = 6.0;
-/// Least share of the cells that must fit better for a result.
+/// A result must increase the number of cells that fit by at least this share of all cells.
 const LEAST_GAIN: f64 = 0.01;
 
-/// A homography that fits more of a picture, in pixels of the level.
+/// A homography that fits more of a picture than the present transform. All lengths are in pixels of the level.
 pub(super) struct Dominant {
     /// Reference pixel -> frame pixel.
     pub(super) h: Matrix3<f64>,
@@ -47,8 +48,8 @@ pub(super) struct Dominant {
     pub(super) error: f64,
 }
 
-/// The homography that fits most of `cells`, which are displaced from the transform `h`; none where `h` fits nearly as
-/// many.
+/// Returns the homography that fits most of `cells`, whose displacements are relative to the transform `h`; none if `h`
+/// fits nearly as many.
 ///
 /// `size` is that of the level, `scale` the length of its pixels in pixels of the full size, and `overlap` the number
 /// of cells that each pixel counts in.
@@ -120,8 +121,8 @@ impl Observation {
     }
 }
 
-/// Number of `observations` within a standard deviation of the motion `step`: with the tolerance [`FITS_PX`], the cells
-/// that fit.
+/// Returns the number of `observations` that differ from the motion `step` by less than a standard deviation. If their
+/// tolerance is [`FITS_PX`], these are the cells that fit.
 fn fitting(observations: &[Observation], step: &DVector<f64>) -> usize {
     observations.iter().filter(|o| o.off(step) < 1.0).count()
 }
@@ -196,7 +197,8 @@ impl Fit<'_> {
                 a[(q, p)] = a[(p, q)];
             }
         }
-        // The prior is linear in the change from `at`: b at zero motion is its b there minus its A times `at`.
+        // The prior depends on the change from `at`. For the motion from zero, its vector b is the one at `at` minus
+        // its matrix A times `at`.
         let (mut prior_a, mut prior_b) = (DMatrix::zeros(n, n), DVector::zeros(n));
         self.basis.add_prior(&(self.h * self.basis.matrix(at)), factor, &mut prior_a, &mut prior_b);
         b += prior_b - &prior_a * at;

@@ -3,9 +3,10 @@
 //! In: the [matches](super::matching) of the patches. Out: a [`LocalField`], and how much of the picture is displaced
 //! ([`Misfit`]). Cost: negligible. Source: weighted least squares over neighbouring patches, with Tukey's biweight.
 //!
-//! Each match is a paraboloid: its displacement, and how precisely each direction is known. Their sum over the
-//! neighbours is that of a larger patch with a boundary that adapts: a neighbour that moves differently has no weight.
-//! The noise is the scatter of the matches about the field, so that a dark or noisy frame needs more evidence.
+//! Each match is a paraboloid: its displacement, and how precisely each direction is known. The sum of the paraboloids
+//! of neighbours is that of a larger patch. The boundary of this patch adapts to the picture, because a neighbour that
+//! moves differently has no weight. The noise is the scatter of the matches about the field, so that a dark or noisy
+//! frame needs more evidence.
 
 use crate::align::agreement::{MOST_STILL, TileDisplacement};
 use crate::align::grey::measured_level;
@@ -18,43 +19,45 @@ use crate::align::transform::{Transform, map, off_level, on_level};
 use crate::statistics::{MEDIAN_SQUARE, TUKEY, biweight, median};
 use nalgebra::Matrix3;
 
-/// Rounds of reweighting.
+/// Number of rounds of reweighting.
 const ROUNDS: usize = 3;
 /// Root mean square displacement that interpolation and the parabola cause where nothing is displaced, in pixels of the
 /// level. Measured on rendered brackets of planar scenes.
 const PEAK_BIAS: f64 = 0.03;
-/// Least share of the patches around a cell that must have a match.
+/// A cell is known only if at least this share of the patches around it have a match.
 const LEAST_KNOWN: f64 = 0.25;
-/// Least share of the matches around a cell that agree with each other.
+/// The displacement of a cell is significant only if at least this share of the matches around it agree with each
+/// other.
 const LEAST_AGREEING: f64 = 0.5;
-/// Fewest cells for a misfit.
+/// With fewer known cells than this, the misfit is 0 and no dominant motion is searched.
 const LEAST_CELLS: usize = 16;
-/// Displacement from which a cell is displaced, in pixels of the full size. Less than the 2 px that show as a double
-/// edge, because cells at edges of depth measure the mean of two displacements.
+/// A cell counts as displaced from this displacement on, in pixels of the full size. It is less than the 2 px that show
+/// as a double edge, because cells at edges of depth measure the mean of two displacements.
 const DISPLACED_PX: f64 = 1.5;
 
-/// Least displaced share of the picture that counts in the root mean square: less is more likely due to things that
-/// moved than to depth.
+/// If a smaller share of the picture is displaced, the displaced cells do not count in the root mean square: they are
+/// more likely due to things that moved than to depth.
 const LEAST_DISPLACED: f64 = 0.01;
-/// Least root mean square displacement for which a motion that fits more of the picture is searched, in pixels of the
-/// full size.
+/// A motion that fits more of the picture is searched only if the root mean square displacement is at least this, in
+/// pixels of the full size.
 const LEAST_MISFIT_PX: f64 = 0.15;
-/// Displacement from which a cell is a reason to search farther, in pixels of the full size.
+/// A cell is suspicious if it is displaced by at least this, in pixels of the full size.
 const SUSPICIOUS_PX: f64 = 1.0;
-/// Share of such cells, and of those without a match, up to which nothing is searched farther.
+/// If a larger share of the cells than this are suspicious or have no match, displacements are searched farther
+/// ([`matching::far`]).
 const SUSPICIOUS: f64 = 0.01;
 
 /// The patches around a cell that are smoothed together.
 #[derive(Debug, Clone, Copy)]
 struct Neighbourhood {
-    /// Patches to each side.
+    /// Number of patches to each side of the cell.
     radius: usize,
     /// Number of patches that each pixel is in; 0.5 if every second patch is matched.
     overlap: f64,
 }
 
-/// The neighbourhoods of [`matching::near`] and [`matching::far`]: 48 pixels wide, as narrow as twigs and railings
-/// allow.
+/// The neighbourhoods of [`matching::near`] and [`matching::far`], both 48 pixels wide. Twigs and railings allow no
+/// narrower ones.
 const NEAR: Neighbourhood = Neighbourhood { radius: 1, overlap: 0.5 };
 const FAR: Neighbourhood = Neighbourhood { radius: 2, overlap: 4.0 };
 
@@ -79,9 +82,10 @@ pub(crate) struct LocalField {
 pub(crate) struct Misfit {
     /// The parts that are displaced by at least [`DISPLACED_PX`].
     pub(crate) displaced: Displaced,
-    /// Their share less its standard error, 0..=1: of a dark frame few cells are known.
+    /// The share of the displaced parts minus its standard error, 0..=1. The standard error is large if few cells are
+    /// known, as in a dark frame.
     pub(crate) displaced_surely: f64,
-    /// Root mean square displacement of all known cells; without the displaced ones if they are less than
+    /// Root mean square displacement of all known cells; without the displaced ones if their share is less than
     /// [`LEAST_DISPLACED`].
     pub(crate) rms_px: f64,
 }
@@ -104,8 +108,8 @@ impl LocalField {
         LocalField { overlap: FAR.overlap, cells: smoothed(&far, FAR), still: far.still(), ..field }
     }
 
-    /// The same displacements from the transform of the [dominant motion](dominant), and its error estimate in pixels
-    /// of the full size; none if the present transform fits as much of the picture.
+    /// Returns this field relative to the transform of the [dominant motion](dominant), and the error estimate of that
+    /// transform in pixels of the full size; none if the present transform fits as much of the picture.
     pub(crate) fn dominant(&self) -> Option<(Self, f64)> {
         if self.cells.len() < LEAST_CELLS || self.misfit().rms_px < LEAST_MISFIT_PX {
             return None;
@@ -121,7 +125,7 @@ impl LocalField {
         Some((LocalField { h: found.h, cells, ..*self }, self.scale() * found.error))
     }
 
-    /// The transform from which the displacements are, in pixels of the full size.
+    /// Returns the transform that the displacements are relative to, in pixels of the full size.
     pub(crate) fn transform(&self) -> Transform {
         Transform::Homography(off_level(&self.h, self.level))
     }
@@ -144,7 +148,8 @@ impl LocalField {
         }
         let lengths: Vec<f64> = self.lengths_px().collect();
         let displaced: Vec<f64> = lengths.iter().copied().filter(|&px| px >= DISPLACED_PX).collect();
-        // Captions, watermarks, dust and noise of the sensor do not move, but they are the smaller part of a picture.
+        // Captions, watermarks, dust and noise of the sensor do not move with the scene and are ignored. If more of the
+        // picture than [`MOST_STILL`] stayed, the transform may be wrong, so this part counts as displaced.
         let still =
             if self.still as f64 <= MOST_STILL * (self.cells.len() + self.still) as f64 { 0 } else { self.still };
         let all = (self.cells.len() + still) as f64;
@@ -174,7 +179,7 @@ impl Sum {
         self.pull.iter_mut().zip(d.pull).for_each(|(s, v)| *s += weight * v);
     }
 
-    /// The displacement at the peak. Along an edge it is that with the least length.
+    /// The displacement at the peak. Along an edge, where many displacements fit equally well, it is the shortest one.
     fn peak(&self) -> [f64; 2] {
         let [xx, xy, yy] = self.sharpness;
         let safe = 1e-3 * (xx + yy) + 1e-9;
@@ -185,7 +190,8 @@ impl Sum {
     }
 }
 
-/// The cells: the weighted sums of the matches around each, reweighted by their distance from it.
+/// Returns the cells, each with the weighted sum of the matches around it. The weight of a match depends on its
+/// distance from the sum around it, and is updated in each round.
 fn smoothed(matches: &Matches, neighbourhood: Neighbourhood) -> Vec<Cell> {
     let Neighbourhood { radius, overlap } = neighbourhood;
     let known: Vec<Option<TileDisplacement>> = matches.all.iter().map(|m| m.and_then(|m| m.displacement())).collect();

@@ -16,24 +16,27 @@ use std::sync::OnceLock;
 
 /// Side of a patch, in pixels of its level: 32 in a photograph of 1 megapixel.
 const SIDE: usize = 16;
-/// Distance of the patches of [`near`], and of [`far`], in pixels of the level. The patches of [`far`] overlap by half.
+/// Distances between neighbouring patches, in pixels of the level: of [`near`] and of [`far`]. The patches of [`far`]
+/// overlap by half.
 const STEPS: (usize, usize) = (SIDE, SIDE / 2);
 /// Largest displacement that is searched, as a share of the long side: depth displaces near objects by up to 2 %, and
-/// the transform may be off by as much as a part of that.
+/// the error of the transform may add to that.
 const MOST_DISPLACEMENT: f64 = 0.03;
-/// Displacement on the coarsest level that is found without a candidate, in pixels.
+/// Largest displacement that is found without candidates from a coarser level, in pixels: by [`near`], and by [`far`]
+/// on its coarsest level.
 const COARSEST_REACH: isize = 3;
-/// Correlation from which the position of a patch is not searched further if its neighbouring positions are worse.
+/// If the correlation of a patch is at least this at the position that the transform gives, and lower around it, no
+/// other position is searched.
 const ENOUGH_CORRELATION: f32 = 0.9;
-/// Least correlation of a match.
+/// A patch matches only where its correlation is at least this.
 const LEAST_CORRELATION: f32 = 0.5;
 
 /// The best match of a patch.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Match {
-    /// Its whole shift, in pixels of the level.
+    /// The shift of the patch, in whole pixels of the level.
     shift: Shift,
-    /// What it shows of the motion.
+    /// What the match shows of the motion.
     pub(super) found: Found,
 }
 
@@ -98,11 +101,11 @@ pub(super) fn far(pair: &FramePair, h: &Matrix3<f64>) -> Matches {
 /// The patches of a level. All lengths are in its pixels.
 struct Grid {
     level: usize,
-    /// Distance of the patches.
+    /// Distance between neighbouring patches.
     step: usize,
-    /// How far they are searched.
+    /// Largest shift at which a patch is compared.
     reach: usize,
-    /// Every such patch of a row is matched; the others are left out.
+    /// 1 if all patches are matched; 2 if only every second one is, as on a chessboard.
     every: usize,
 }
 
@@ -184,8 +187,8 @@ impl Matches {
     }
 }
 
-/// Whether a match with the correlation `other` is significantly better than one with the correlation `best`: patterns
-/// that repeat match nearly as well elsewhere.
+/// Whether a match with the correlation `other` is clearly better than the present one, which has the correlation
+/// `best`. A small lead is not enough, because a repeated pattern matches nearly as well at a wrong position.
 fn is_better(other: f32, best: f32) -> bool {
     let unexplained = |c: f32| 1.0 - c.max(0.0) * c.max(0.0) + UNEXPLAINED;
     other >= LEAST_CORRELATION && unexplained(other) < CLEARLY * unexplained(best)
@@ -193,9 +196,9 @@ fn is_better(other: f32, best: f32) -> bool {
 
 /// Share of a patch's variance that noise leaves unexplained at its true position.
 const UNEXPLAINED: f32 = 0.05;
-/// Ratio of the unexplained variances below which a match is better than another.
+/// A match is clearly better than another if its unexplained variance is less than this multiple of the other's.
 const CLEARLY: f32 = 0.8;
-/// Least motion, in pixels of the level, that distinguishes what moves with the scene from what does not.
+/// A patch can be recognised as still only if the transform moves it by at least this, in pixels of the level.
 const LEAST_MOTION: f64 = 2.0;
 
 /// The correlations of a patch, each computed on first use.
@@ -220,7 +223,8 @@ impl Correlations<'_> {
         correlation
     }
 
-    /// The best correlation and its shift, from (0, 0) and the `candidates`; none outside the frame.
+    /// Returns the best correlation and its shift, searched from (0, 0) and from the `candidates`; none if the patch is
+    /// outside the frame.
     fn search<'c>(&mut self, candidates: impl Iterator<Item = &'c Shift>) -> Option<(f32, Shift)> {
         if self.at((0, 0)).is_nan() {
             return None;

@@ -5,8 +5,9 @@
 //! each pixel of the level on which agreement is measured is in nine correlations, with three multiply-adds each; in
 //! some hundred where parts are displaced.
 //!
-//! The tiles of [`agreement`](crate::align::agreement) are large and search few pixels, to find out whether a transform
-//! is right at all. Near objects, rolling shutter and moving things displace parts of the picture, by more.
+//! The tiles of [`agreement`](crate::align::agreement) are large and searched within a few pixels, to find out whether
+//! a transform is right at all. Near objects, rolling shutter and moving things displace smaller parts of the picture,
+//! and by more pixels.
 
 mod cell;
 mod dominant;

@@ -56,12 +56,12 @@ fn compromise_between_two_motions_is_replaced_by_the_motion_of_the_larger_part()
     let compromise = rigid(5.4, -2.0, 0.4);
     let field = LocalField::new(&FramePair::new(&reference, &frame, &compromise), &compromise);
     let (dominant, error_px) = field.dominant().unwrap();
-    // The patches at the edge between the parts are within the tolerance of neither.
+    // Patches at the edge between the two parts fit neither motion, which adds to the error.
     let off = distance(&dominant.transform(), &truth, SIZE.0, SIZE.1);
     assert!(off < 0.3 && error_px < 1.0, "{off} {error_px}");
     let (before, after) = (field.misfit().displaced.fraction, dominant.misfit().displaced.fraction);
     assert!(before > 0.9 && (after - 0.4).abs() < 0.06, "{before} {after}");
-    // There is nothing better then.
+    // No other motion fits more of the picture.
     assert!(dominant.dominant().is_none());
 }
 
@@ -82,7 +82,7 @@ fn caption_that_does_not_move_with_the_scene_is_not_displaced() {
     let (reference, frame) = (labelled(reference.level(0)), labelled(frame.level(0)));
     let found = LocalField::new(&FramePair::new(&reference, &frame, &truth), &truth).misfit();
     assert!(found.displaced.fraction < 0.03 && found.rms_px < 0.5, "{found:?}");
-    // The transform of the caption displaces the scene.
+    // Under the identity, which fits the caption, the scene is displaced.
     let unmoved = LocalField::new(&FramePair::new(&reference, &frame, &Transform::Identity), &Transform::Identity);
     assert!(unmoved.misfit().displaced.fraction > 0.7, "{:?}", unmoved.misfit());
 }
@@ -121,7 +121,8 @@ fn coarse_to_fine_finds_what_a_full_search_finds() {
         let [xx, xy, yy] = displacement.sharpness;
         let expected = [xx * dx as f64 + xy * dy as f64, xy * dx as f64 + yy * dy as f64];
         all += 1;
-        // Within a pixel: the pull is the sharpness times the displacement.
+        // The pull is the sharpness times the displacement. This tolerance allows an error of a pixel in each
+        // direction.
         let off = [displacement.pull[0] - expected[0], displacement.pull[1] - expected[1]];
         same += usize::from(off[0].abs() <= xx + xy.abs() && off[1].abs() <= yy + xy.abs());
     }

@@ -12,8 +12,8 @@ use crate::align::transform::{Transform, on_level};
 use nalgebra::Matrix3;
 use std::sync::{Mutex, OnceLock, PoisonError};
 
-/// Approximate number of cells of a level, each of which gives one point: (on levels up to [`measured_level`], on
-/// coarser levels).
+/// Approximate numbers of cells of a level, each of which gives one point: on [`measured_level`] and finer levels, and
+/// on coarser levels.
 const CELLS: (f64, f64) = (16_000.0, 4_000.0);
 /// Standard deviation of the position of an edge, in pixels, that interpolation, aliasing and the blur of one frame
 /// cause.

@@ -99,7 +99,8 @@ impl Patches {
         }
     }
 
-    /// Returns these patches for the start of a new refinement, which has not chosen their positions yet.
+    /// Returns these patches for a new refinement: no position counts as chosen, but the values that were read are
+    /// kept.
     pub(crate) fn reset(mut self) -> Self {
         self.is_placed.fill(false);
         self

@@ -59,7 +59,7 @@ mod tests {
             }
         });
         for (u, v) in [(5.0, 6.0), (7.25, 8.5), (12.9, 3.1)] {
-            // Sixteen roundings of values below 64.
+            // The tolerance covers sixteen roundings of values below 64.
             assert!((f64::from(cubic(&plane, u, v).unwrap()) - f(u, v)).abs() < 1e-4, "{u} {v}");
         }
         assert_eq!(

@@ -11,8 +11,8 @@ use std::sync::LazyLock;
 pub(crate) const TAPS: usize = 6;
 /// Number of pixels under the kernel before the pixel at the position rounded down.
 pub(crate) const BEFORE: usize = 2;
-/// Number of phases of the kernel between two pixels. At 1/1024 px apart, the rounding error is below 0.1 pixel values
-/// at the steepest edge.
+/// Number of phases of the kernel between two pixels. With phases 1/1024 px apart, the error by rounding a position to
+/// a phase is below 0.1 pixel values at the steepest edge.
 const PHASES: usize = 1024;
 
 /// Returns the index of the first pixel under the kernel, and the phase, at `position`, which is clamped to 0..=`last`.
@@ -65,7 +65,7 @@ mod tests {
     #[test]
     fn weights_sum_to_one_and_whole_places_have_one() {
         for weights in WEIGHTS.iter() {
-            // Six roundings to 24 bits of values below 1.
+            // The tolerance covers six roundings, to 24 bits, of values below 1.
             assert!((weights.iter().sum::<f32>() - 1.0).abs() < 4e-7);
         }
         let (first, phase) = taps_at(3.0, 9.0);

@@ -54,8 +54,8 @@ pub struct Strip<'a> {
 }
 
 impl Strip<'_> {
-    /// Returns where, in the values of the window, the square of the frame begins that corresponds to a square of the
-    /// reference.
+    /// Finds the square of the frame that corresponds to a square of the reference, and returns the index of its first
+    /// value in the window.
     ///
     /// The reference's square has `side` x `side` pixels, the top-left one at (x, y). None if the square is not
     /// completely inside the frame.

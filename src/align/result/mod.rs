@@ -17,11 +17,11 @@ use crate::bracket::{Bracket, Frame};
 /// Numbers of keypoints found in a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 pub struct KeypointCounts {
-    /// In the grey picture.
+    /// Number of keypoints in the grey picture.
     pub plain: usize,
-    /// In its median threshold bitmap.
+    /// Number of keypoints in its median threshold bitmaps.
     pub mtb: usize,
-    /// In both; points found in both are counted once.
+    /// Number of keypoints in the grey picture or the bitmaps; a keypoint found in both is counted once.
     pub merged: usize,
 }
 

@@ -5,8 +5,8 @@
 //! A frame covers the intersection of the half-planes inside its four edges, which a homography keeps straight. For
 //! given left and right sides of the rectangle, the best upper and lower sides follow directly. The logarithm of the
 //! area is concave in the left and right sides, so that ternary search finds its only maximum. Where the height is
-//! negative, the height itself is used, which is concave too and leads the search back. Vertical edges bound the
-//! search.
+//! negative, the logarithm is replaced by the height, which is concave too and leads the search back to positive
+//! heights. Vertical edges bound the search.
 
 use crate::align::transform::Transform;
 use nalgebra::Vector3;
@@ -191,7 +191,8 @@ mod tests {
             (-99.0, 49.0, Rect { x0: 99, y0: 0, x1: 100, y1: 1 }),
         ] {
             assert_eq!(largest(&[Transform::Rigid { dx, dy, angle: 0.0 }], 100, 50), Some(rect), "{dx} {dy}");
-            // Three hundredths less, and turned a little: up to three columns more, or one less on each side.
+            // A shift that is 3 % smaller, with a slight rotation, leaves up to three columns and rows more, or up to
+            // one less on each side.
             let turned = largest(&[Transform::Rigid { dx: 0.97 * dx, dy: 0.97 * dy, angle: 1e-3 }], 100, 50).unwrap();
             assert!(turned.width() <= rect.width() + 3 && turned.width() + 2 >= rect.width(), "{turned:?}");
             assert!(turned.height() <= rect.height() + 3 && turned.height() + 2 >= rect.height(), "{turned:?}");

@@ -84,7 +84,7 @@ pub enum Status {
     /// them ([`RejectedBy`]).
     #[serde(rename = "rejected", skip_deserializing)]
     Excluded,
-    /// Excluded because the flash fired in this frame alone; the same name in files.
+    /// Excluded because the flash fired in this frame alone. In files it has the same name as [`Status::Rejected`].
     #[serde(rename = "rejected", skip_deserializing)]
     Flash,
 }

@@ -1,4 +1,5 @@
-//! Arguments whose values are an enum of the library: its names are accepted, and `--help` lists them with their documentation.
+//! Arguments whose values are an enum of the library: the names of its variants are accepted, and `--help` lists them
+//! with their documentation.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Arg, Command};

@@ -1,8 +1,9 @@
 //! The allocator: with a memory limit, freed memory is returned to the system at once.
 //!
-//! mimalloc keeps freed pages for a second, so that resident memory depends on the speed of the machine and is up to twice the memory in use. With a
-//! delay of a millisecond the excess is a few megabytes. mimalloc reads its settings from the environment before `main`, so the program executes itself
-//! again in the same process, with the setting. This costs 2 ms.
+//! mimalloc keeps freed pages for a second, so that resident memory depends on the speed of the machine and is up to
+//! twice the memory in use. With a delay of a millisecond the excess is a few megabytes. mimalloc reads its settings
+//! from the environment before `main`, so the program executes itself again in the same process, with the setting. This
+//! costs 2 ms.
 
 use clap::ArgMatches;
 

@@ -1,10 +1,11 @@
 //! Control groups: the memory that Linux still allows to the groups of this process, as in a container or under Slurm.
 //!
-//! In: `/proc/self/cgroup`, `/proc/self/mountinfo` and the files of the process's own group and of every group above it. Out: bytes. Cost: some
-//! small files. Source: the kernel's `admin-guide/cgroup-v2.rst`, `admin-guide/cgroup-v1/memory.rst` and `filesystems/proc.rst`.
+//! In: `/proc/self/cgroup`, `/proc/self/mountinfo` and the files of the process's own group and of every group above
+//! it. Out: bytes. Cost: some small files. Source: the kernel's `admin-guide/cgroup-v2.rst`,
+//! `admin-guide/cgroup-v1/memory.rst` and `filesystems/proc.rst`.
 //!
-//! A group's usage contains the page cache of every file that was read or written in it, which the kernel gives back before it refuses memory. The
-//! file pages on the kernel's lists are therefore counted as free, as they are in `MemAvailable`.
+//! A group's usage contains the page cache of every file that was read or written in it, which the kernel gives back
+//! before it refuses memory. The file pages on the kernel's lists are therefore counted as free, as in `MemAvailable`.
 
 use std::fs;
 use std::path::{Component, Path, PathBuf};
@@ -41,8 +42,8 @@ const VERSIONS: [Version; 2] = [
     },
 ];
 
-/// Returns the bytes that the groups of this process allow in addition to those in use: the smallest of all groups;
-/// `None` if no group has a limit. `root` is the root of the file system.
+/// Returns the number of bytes that the groups of this process allow in addition to those in use, which is the smallest
+/// number of any group; `None` if no group has a limit. `root` is the root of the file system.
 pub fn free(root: &Path) -> Option<u64> {
     let groups = fs::read_to_string(root.join("proc/self/cgroup")).ok()?;
     let mounts = fs::read_to_string(root.join("proc/self/mountinfo")).ok()?;

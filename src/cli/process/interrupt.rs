@@ -1,8 +1,8 @@
 //! Signals: Ctrl-C, termination, and limits of the process. No incomplete file is left.
 //!
-//! A command stops at once and removes its temporary files. A batch first finishes the brackets in progress; a second signal stops it at once
-//! too. Signals that the process was started to ignore, as by `nohup`, are ignored. A file that exceeds `ulimit -f` is a write error and does not
-//! end the process.
+//! A command stops at once and removes its temporary files. A batch first finishes the brackets in progress; a second
+//! signal stops it at once too. Signals that the process was started to ignore, as by `nohup`, are ignored. A file that
+//! exceeds `ulimit -f` is a write error and does not end the process.
 
 use crate::cli::say;
 use hdralign::write;

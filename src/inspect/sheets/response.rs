@@ -73,8 +73,8 @@ pub fn draw(title: &str, curve: &ResponseCurve, samples: &Drawn, notes: &str) ->
     page.drawing
 }
 
-/// Returns for each frame that shows the place `sample` its code value there and ln of the exposure: the radiance that
-/// fits the response `g` best, times the exposure of the frame.
+/// Returns a pair for each frame that shows the place `sample`: the frame's code value there, and ln(E dt). E is the
+/// radiance of the place that fits the response `g` best, and dt is the exposure time of the frame.
 fn placed<'a>(sample: &'a Sample, g: &'a [f64; CODES]) -> impl Iterator<Item = (f64, f64)> + 'a {
     let weights = sample.views.iter().map(|v| (hat(v.code) + 1e-6, at(g, v.code) - v.ln_time));
     let (weight, sum) = weights.fold((0.0, 0.0), |(a, b), (w, ln_e)| (a + w, b + w * ln_e));

@@ -32,11 +32,12 @@ use crate::plane::Plane;
 use crate::pyramid::cells::row_between_cells;
 use crate::simd::log2;
 
-/// Smallest share of the radiance by which frames may differ, and share of the brightest channel that may be mixed into
-/// another channel: lamp light on wood has sixteen times as much red as blue, so 6 % of the red equal the blue.
+/// Two shares with the same value. First, the share of the radiance that is the lower limit of the standard deviation
+/// of a difference without motion. Second, the share of the brightest channel that may be mixed into another channel:
+/// lamp light on wood has sixteen times as much red as blue, so 6 % of the red equal the blue.
 const LEAST: f32 = 0.06;
-/// As [`LEAST`], the smallest share by which frames may differ, but where a channel is clipped: the camera has mixed
-/// the clipped channel into the others. Measured on saturated colours of four cameras.
+/// The first share of [`LEAST`] for cells in which a channel is clipped. It is larger, because the camera has mixed the
+/// clipped channel into the others. Measured on saturated colours of four cameras.
 const SHIFTED: f32 = 0.25;
 /// Factor from a small relative difference to octaves: log2(1 + x) is about x log2(e).
 const OCTAVES: f32 = std::f32::consts::LOG2_E;

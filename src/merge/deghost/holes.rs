@@ -174,8 +174,9 @@ impl Holes {
             // A channel that is not clipped limits how much of the continued radiance is used.
             let shown = |c: usize| 1.0 - (1.0 - clipped[c]) * (1.0 - pixel[c] / more[c].max(FLOOR)).max(0.0);
             let shown = shown(0).min(shown(1)).min(shown(2));
-            // A pixel that is white in all channels has lost its colour, but is a lower bound of the radiance: `scale`
-            // keeps its brightest channel.
+            // A pixel that is white in all channels has lost its colour, but its brightest channel is a lower bound of
+            // the radiance. Therefore `scale` brightens the continued radiance until its brightest channel reaches that
+            // bound.
             let most = |of: [f32; 3]| of.into_iter().fold(FLOOR, f32::max);
             let scale = (most(*pixel) / most(more)).max(1.0);
             for c in 0..3 {

@@ -12,8 +12,8 @@ use crate::response::file::{Format, SavedResponse};
 use crate::write::{self, Written};
 use std::path::{Path, PathBuf};
 
-/// Number of pixels for which the loss is computed: (in all brackets together, at least in one bracket). A hundredth of
-/// the first number is still 160 pixels.
+/// Numbers of pixels for which the loss is computed: in all brackets together, and at least in each bracket. The first
+/// is so large that one percent of these pixels is still 160 pixels.
 const PIXELS: (usize, usize) = (16384, 256);
 
 /// Returns pixels of `bracket`, one of `brackets` brackets, from which the loss by the files `paths` is computed;

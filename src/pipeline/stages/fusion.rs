@@ -1,7 +1,8 @@
 //! Exposure fusion: from the aligned frames to a picture, without radiance.
 //!
-//! In: a bracket and its alignment. Out: the picture, encoded in its colour space. Cost: each frame is resampled
-//! twice, and with motion once more for each frame towards the reference; and that of the fusion.
+//! In: a bracket and its alignment. Out: the picture, encoded in its colour space. Cost: that of the fusion, and of
+//! resampling each frame twice. If something moved, all frames between a frame and the reference are resampled with it,
+//! and the reference too.
 
 use crate::align::Transform;
 use crate::align::resampling::{OUTSIDE, resample_rows, rows_under};
@@ -72,10 +73,11 @@ impl Fused<'_> {
 
     /// Returns the codes of merged frame `k` in some rows of the region.
     ///
-    /// Where something moved, the codes of the frame are replaced by those that it would have for the radiance of the
-    /// next frame towards the reference, in which motion is replaced in the same way. If the frame is darker than the
-    /// reference, this radiance is first completed by [`Ghosts::fill`] where the reference is clipped. A weight of 0
-    /// instead would not be enough: the coarse levels of the pyramids extend motion beyond its borders.
+    /// Where something moved, the codes of the frame are replaced by the codes that it would have for the radiance of
+    /// its neighbour, the next frame towards the reference. In the neighbour, motion has been replaced in the same way.
+    /// If the frame is darker than the reference, this radiance is first completed by [`Ghosts::fill`] where the
+    /// reference is clipped. A weight of 0 instead would not be enough: the coarse levels of the pyramids extend motion
+    /// beyond its borders.
     fn rows(&self, k: usize, rows: Range<usize>) -> Result<Vec<[f32; 3]>> {
         let (Fused { aligned, placed, .. }, region) = (self, self.aligned.region);
         let (_, frame, warp) = &placed[k];

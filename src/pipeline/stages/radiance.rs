@@ -29,7 +29,7 @@ pub(crate) struct Radiance {
     /// The range of radiance that the photographs show.
     pub photographed: Option<Photographed>,
     pub merged: Merged,
-    /// The radiances between which the frames have a signal; `None` if they are locally processed.
+    /// The radiances between which the frames have a signal; `None` if the frames are locally processed.
     pub limits: Option<Limits>,
     pub ghosts: Option<Ghosts>,
     /// `None` if flare was not requested.
@@ -131,8 +131,8 @@ impl Room {
     /// Chooses the number of rows by the memory that the `bracket` leaves for radiance of this size.
     fn of(bracket: &Bracket, (width, height): (usize, usize), options: &Options) -> Room {
         let (Some(scratch), Some(budget)) = (bracket.scratch(), bracket.budget()) else { return Room::Enough };
-        // Bytes of a row of all frames, a quarter more for frames that moved; of a row of radiance; and of a row of the
-        // picture.
+        // Number of bytes for each row: those of the row in all frames, and a quarter more because frames may have
+        // moved; those of the row of radiance; those of the row of the picture.
         let row = bracket.frames().len() as u64 * bracket.reference().row_bytes() * 5 / 4 + 24 * width as u64;
         let rows = (budget.slab(rayon::current_num_threads()) / row) as usize;
         // Parts consist of complete bands, or of complete cells of the flare estimate.

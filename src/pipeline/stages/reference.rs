@@ -24,8 +24,8 @@ pub(crate) struct Aligned {
 
 /// Largest number of other references that are tried after the first.
 const OTHERS: usize = 2;
-/// Least confidence with which a frame counts in favour of another reference. If parallax makes every transform
-/// uncertain, no frame counts, and the first reference is kept: it is still the best.
+/// A frame counts in favour of another reference only if its confidence is at least this. If parallax makes every
+/// transform uncertain, no frame counts, and the first reference, which is still the best one, is kept.
 const SURE: f64 = 0.8;
 /// Replaces [`SURE`] if no frame is aligned to the first reference.
 const LIKELY: f64 = 0.5;
@@ -39,7 +39,8 @@ pub(crate) fn align(mut bracket: Bracket, options: &Options) -> Result<(Bracket,
     if !is_open(options) {
         return Ok((bracket, alignment, warnings));
     }
-    // A frame that was aligned to a reference shows the same scene, and need not be tried as the reference.
+    // A frame that was aligned to a reference shows the same scene as that reference, and need not be tried as the
+    // reference.
     let mut done: Vec<bool> = excluded(&bracket, options);
     for _ in 0..OTHERS {
         let placed = count(&bracket, &alignment, 0.0);

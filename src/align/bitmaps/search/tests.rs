@@ -73,8 +73,8 @@ fn finds_shift_and_rotation_between_exposures() {
     for transform in [shift(13.0, -7.0), rigid(0.0, 0.0, 1.3), rigid(-21.4, 9.7, -2.2)] {
         let Transform::Rigid { dx, dy, angle } = transform else { unreachable!() };
         let motion = found((768, 512), &transform);
-        // One pixel in 100, so 4000 in all, is at an edge, and measures the motion to some tenths of a pixel. All of
-        // them together measure it to 0.01 px. An angle of 0.01 degrees moves the rim, at 256 px, by 0.045 px.
+        // One pixel in 100 is at an edge, so 4000 in all. Each of them measures the motion to some tenths of a pixel,
+        // all together to 0.01 px. An angle of 0.01 degrees moves the rim, at 256 px, by 0.045 px.
         assert!((motion.angle - angle).to_degrees().abs() < 0.01, "{motion:?} for {transform:?}");
         assert!((motion.dx - dx).abs() < 0.1 && (motion.dy - dy).abs() < 0.1, "{motion:?} for {transform:?}");
     }
@@ -100,8 +100,8 @@ fn rotations_down_to_a_hundredth_of_a_degree_are_found() {
         ratios.push(found.error_px / error);
     }
     assert!(worst < 0.1, "{worst} px");
-    // The estimate is a root mean square, so single errors differ from it: in about four cases of five, estimate /
-    // error is in 0.33..4.
+    // The estimate is a root mean square, so single errors differ from it. In about four cases of five, the estimate
+    // divided by the error is in 0.33..4.
     let fair = ratios.iter().filter(|r| (0.33..4.0).contains(*r)).count();
     assert!(fair >= 7, "{ratios:?}");
 }
@@ -228,7 +228,7 @@ fn the_packed_search_is_the_textbooks() {
 
 #[test]
 fn rivals_are_the_periods_of_a_facade() {
-    // Windows 24 px apart from left to right, each darkened a little differently; no two floors alike.
+    // The windows of a floor are 24 px apart, and each has a slightly different brightness. No two floors are alike.
     let facade = |x: f64, y: f64| {
         let (column, floor) = ((x / 24.0).floor(), (y / 31.0).floor());
         let width = 9.0 + 8.0 * uniform(3, floor as i64, 0);
@@ -247,8 +247,8 @@ fn rivals_are_the_periods_of_a_facade() {
     }
 }
 
-/// In a strip of 65,500 px, all shifts of up to 15 % of its length along both axes would be 386 million, of 32 bytes
-/// each. The search of such strips is limited, but not that of photographs of 3:1.
+/// In a strip 65,500 px long, there are 386 million shifts of up to 15 % of the length along both axes; each would take
+/// 32 bytes. The search of such strips is limited, but that of photographs of 3:1 is not.
 #[test]
 fn strips_are_searched_within_bounds() {
     let pair = |width: usize, height: usize| {

@@ -17,10 +17,10 @@ use nalgebra::Matrix3;
 
 /// Largest distance of an inlier, in standard deviations (estimated from the median).
 const WITHIN: f64 = 2.5;
-/// Least standard deviation, in pixels: no keypoint is more precise.
+/// Lower limit of the standard deviation, in pixels: no keypoint is more precise.
 const LEAST_SIGMA: f64 = 0.02;
-/// Largest radius of the inliers, in units of RANSAC's threshold. The radius is larger only if more than half of the
-/// pairs are wrong.
+/// If the radius of the inliers is at least this multiple of RANSAC's threshold, more than half of the pairs are wrong,
+/// and there is no result.
 const MOST_THRESHOLDS: f64 = 2.0;
 /// Largest number of refits; usually two are enough.
 const MOST_REFITS: usize = 10;

@@ -1,5 +1,5 @@
-//! SURF: keypoints and descriptors from sums over boxes of pixels. On photographs about two and a half times as many
-//! keypoints as SIFT (table in `docs/how/features.md`).
+//! SURF: keypoints and descriptors from sums over boxes of pixels. On photographs, SURF finds about two and a half
+//! times as many keypoints as SIFT (table in `docs/how/features.md`).
 //!
 //! In: a grey image. Out: its [`Features`]. Cost: about 20 additions per pixel for each of the four filters of the
 //! first octave, less than half for each further octave, then some thousand additions per keypoint. Source: Bay,

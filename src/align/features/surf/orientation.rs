@@ -38,7 +38,7 @@ pub(super) fn assign(integral: &Integral, point: &Keypoint) -> f32 {
     }
     responses.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut longest = (0.0, 0.0);
-    // Every window starts at one of the responses; `end` counts on past the last response, to the first again.
+    // Every window starts at one of the responses; after the last response, `end` continues with the first.
     let (n, mut end, mut sum) = (responses.len(), 0, [0.0f64; 2]);
     for start in 0..n {
         while end < start + n {

@@ -1,4 +1,5 @@
-//! Steps of a rendered scene, under curves of renderings and cameras.
+//! Tests of exposure steps that are estimated from pixels. The frames are computed from a scene, with the sRGB curve
+//! (as renderings have it) or with the tone curves of typical cameras.
 
 use super::*;
 use crate::bracket::colour::linear_to_srgb;

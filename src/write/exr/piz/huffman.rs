@@ -201,7 +201,8 @@ impl Coder {
             let value = values[at];
             let code = codes[usize::from(value)];
             at += 1;
-            // Usually two values that are not repeated: a 64-bit word takes both at once.
+            // Usually neither this value nor the next is repeated. The codes of both are then written in one step, if
+            // they have at most 56 bits together.
             if let Some(&[next, after]) = values[at..].first_chunk::<2>()
                 && (next != value) & (after != next)
             {
