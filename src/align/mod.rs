@@ -66,7 +66,8 @@ pub use transform::{Model, Transform};
 #[strum(serialize_all = "kebab-case")]
 pub enum AlignMode {
     /// Tries a fast method first (median threshold bitmaps, then refinement on the pixels), and image features only if
-    /// necessary. Every result is checked, except transforms that are assumed from other frames.
+    /// necessary. Every result is checked. A frame that is too dark or too bright to align gets a transform estimated
+    /// from the other frames, or is rejected.
     #[default]
     Auto,
     /// Median threshold bitmaps only: shift and rotation.

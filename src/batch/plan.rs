@@ -403,7 +403,10 @@ impl Job {
                 ));
             }
             if job.brackets.iter().try_fold(0_usize, |sum, n| sum.checked_add(*n)) != Some(job.inputs.len()) {
-                return Err(refused(i + 1, "the sizes of its brackets do not add up to the number of inputs".into()));
+                return Err(refused(
+                    i + 1,
+                    "the numbers of photographs in `brackets` do not add up to the number of `inputs`".into(),
+                ));
             }
             if !ids.insert(job.id.clone()) {
                 return Err(refused(i + 1, format!("the id {:?} is used twice", job.id)));

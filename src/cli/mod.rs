@@ -57,7 +57,7 @@ enum Command {
     Compare(commands::compare::Args),
     /// Print a script that lets a shell complete commands with the Tab key
     Completions(commands::completions::Args),
-    /// Print the man page, or write the man pages of all commands
+    /// Print the manual in the format of the Unix command man, or write it for all commands
     Man(commands::man::Args),
 }
 

@@ -27,12 +27,18 @@ pub(super) fn validate(criterion: &Criterion) -> Result<()> {
         Criterion::Pixels { tolerance, most_differing_percent } => {
             match tolerance {
                 Tolerance::ByKind => {}
-                Tolerance::Stops(v) => {
-                    check("--tolerance-stops", v, f64::MAX, "a tolerance; give stops from 0 up, for example 0.01")?
-                }
-                Tolerance::DeltaE(v) => {
-                    check("--tolerance-de", v, f64::MAX, "a tolerance; give a dE from 0 up, for example 1")?
-                }
+                Tolerance::Stops(v) => check(
+                    "--tolerance-stops",
+                    v,
+                    f64::MAX,
+                    "a tolerance; give a number of stops, 0 or more, for example 0.01",
+                )?,
+                Tolerance::DeltaE(v) => check(
+                    "--tolerance-de",
+                    v,
+                    f64::MAX,
+                    "a tolerance; give a colour difference dE, 0 or more, for example 1",
+                )?,
             }
             check("--max-differing", most_differing_percent, 100.0, "a share; give 0 to 100 percent of the pixels")
         }

@@ -230,8 +230,11 @@ fn plots(
         format!("{}, from {frames} photographs in {}.", recovered.model, counted(collected.len(), "bracket"));
     if let Some(fits) = &recovered.channels {
         let residuals = fits.map(|fit| format!("{:.3}", fit.residual_stops));
-        notes +=
-            &format!(" Residual of red, green and blue: {} stops. Dots: places of the scene.", residuals.join(", "));
+        notes += &format!(
+            " Dots: places of the scene, one dot for each frame. Distance of the dots from the curves of \
+             red, green and blue (root mean square): {} stops.",
+            residuals.join(", ")
+        );
     }
     let drawing = response_plot::draw(&title, &saved.curve, &drawn, &notes);
     paths.iter().map(|path| write::bytes(path, &response_plot::encode(&drawing, path)?)).collect()

@@ -63,7 +63,7 @@ impl Options {
         } else if !(self.gain > 0.0 && self.gain < 1.0) {
             format!("the smallest gain must be between 0 and 1, not {}", self.gain)
         } else if self.sweeps == 0 {
-            "at least 1 sweep is needed".to_owned()
+            "the number of sweeps (iterations) must be at least 1, not 0".to_owned()
         } else {
             return Ok(());
         };

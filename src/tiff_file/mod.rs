@@ -199,7 +199,7 @@ pub(crate) fn picture(reader: impl Read + Seek) -> Result<Picture, Reason> {
     }
     let all = || pictures.iter().chain(&below);
     if all().flat_map(|p| &p.entries).any(|entry| entry.kind == 2 && entry.count > LONGEST_TEXT) {
-        return Err("the stated length of one of its texts is impossible; copy the file again".into());
+        return Err("its header is damaged: it contains a text of impossible length; copy the file again".into());
     }
     let is_mosaic = all().any(|directory| file.is_mosaic(directory));
     let full = pictures.iter().position(|directory| !file.is_thumbnail(directory));

@@ -46,7 +46,7 @@ impl Options {
                 "exposedness",
                 (0.0, 4.0),
                 &mut self.exposedness,
-                "exponent of the weight for good exposure",
+                "exponent of the exposure measure: larger values prefer pixels that are neither dark nor bright",
             ),
         ]
     }

@@ -51,7 +51,7 @@ pub enum Operator {
     Durand(operators::durand::Options),
     /// Local: strong local contrast, dramatic. Fattal et al. 2002.
     Fattal(operators::fattal::Options),
-    /// Local: reduces all contrasts equally, as the eye sees them. Mantiuk et al. 2006.
+    /// Local: reduces contrasts of every size, from fine detail to large areas. Mantiuk et al. 2006.
     Mantiuk06(operators::mantiuk06::Options),
     /// Global: the best curve for a given display and the light in its room. Mantiuk et al. 2008.
     Mantiuk08(operators::mantiuk08::Options),

@@ -48,7 +48,7 @@ pub struct Work {
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
 
-    /// Limit the memory, for example 4GB [default: 3/4 of the free memory]
+    /// Limit the memory, for example 4GB [default on Linux: 3/4 of free memory]
     ///
     /// GB is 10^9 bytes, GiB 2^30. Data that do not fit are kept in a temporary file in the --scratch folder. Results
     /// do not depend on the limit. On systems other than Linux there is no limit by default
@@ -74,8 +74,8 @@ pub struct Work {
 
     /// Print no progress, summary or warnings, only errors and file names
     ///
-    /// stdout is the same as without -q: the names of the files written, or JSON. Errors go to stderr. Without -q,
-    /// progress is shown if stderr is a terminal
+    /// For scripts: stdout is the same as without -q: the names of the files written, or JSON. Errors go to stderr.
+    /// Without -q, progress is shown if stderr is a terminal
     #[arg(short, long, help_heading = OUTPUT)]
     pub quiet: bool,
 }
@@ -86,14 +86,14 @@ Exit with code 3 if the result is degraded (may be inaccurate)
 
 A result is degraded if
 - a frame could not be aligned, or only with a confidence below 0.5
-- a frame was too dark or too bright to align, and the camera moved in other frames
+- a frame was too dark or too bright to align, and other frames show that the camera moved
 - the frames overlap by less than half, or two of them have the same pixels
 - the flash fired in some frames only, or the camera tone-mapped the frames locally
 - an exposure is missing, was estimated, or contradicts the pixels
 - the response could not be recovered, is of another camera, or contradicts the pixels
-- `response`, `batch --shared-response`: a bracket could not be used for the response, or
-  is of another camera
-All files are written. Frames that the user excluded do not count";
+- a bracket could not be used for the response, or is of another camera (only with
+  `response` and `batch --shared-response`)
+The results are written in any case. Frames that the user excluded do not count";
 
 /// Limit on the size of images.
 #[derive(Debug, Args)]
@@ -122,7 +122,7 @@ pub struct Reading {
     #[command(flatten)]
     largest: Largest,
 
-    /// Limit the memory, for example 4GB [default: 3/4 of the free memory]
+    /// Limit the memory, for example 4GB [default on Linux: 3/4 of free memory]
     ///
     /// GB is 10^9 bytes, GiB 2^30. Files that need more are rejected. On systems other than Linux there is no limit by default
     #[arg(long, help_heading = RESOURCES, value_name = "SIZE", value_parser = memory::size)]

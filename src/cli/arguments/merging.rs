@@ -63,9 +63,9 @@ pub struct Merging {
 
     /// Multiply the radiance by X to get cd/m2
     ///
-    /// With --absolute, X is a measured luminance divided by the luminance in the file, usually about 1. Without
-    /// --absolute, X is the luminance in cd/m2 of light that has the middle pixel value (128 of 255) in the reference
-    /// frame (the value of this light is 1.0 without this option)
+    /// With --absolute, X is a luminance that you measured, divided by the luminance of the same place in a result with
+    /// --absolute alone; usually about 1. Without --absolute, X is the luminance in cd/m2 of a place that is middle
+    /// grey (pixel value 128 of 255) in the reference frame
     #[arg(long, hide_short_help = true, value_name = "X", allow_negative_numbers = true)]
     calibration_factor: Option<f64>,
 

@@ -22,7 +22,7 @@ pub struct Radiance {
     #[arg(long, hide_short_help = true, value_parser = choice::<exr::Sample>(), default_value_t, value_name = "TYPE")]
     exr_type: exr::Sample,
 
-    /// Set the compression of .exr
+    /// Set the compression of .exr (always lossless)
     #[arg(long, hide_short_help = true, value_parser = choice::<exr::Compression>(), default_value_t, value_name = "NAME")]
     exr_compression: exr::Compression,
 

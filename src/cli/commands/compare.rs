@@ -80,7 +80,7 @@ pub struct Args {
 
     /// Print no summary or warnings, only errors and file names
     ///
-    /// stdout is the same as without -q: the names of the files written, or JSON. Errors go to stderr
+    /// For scripts: stdout is the same as without -q: the names of the files written, or JSON. Errors go to stderr
     #[arg(short, long)]
     quiet: bool,
 }

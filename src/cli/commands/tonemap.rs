@@ -17,9 +17,9 @@ use std::process::ExitCode;
 
 const AFTER_HELP: &str = "\
 The input may come from any program: .exr, .hdr, and .tif with floating-point (as from Photoshop)
-or LogLuv pixels. Invalid pixels are changed, with a warning: NaN (not a number) becomes black,
-infinity becomes the largest finite value, and colours with negative components become less
-saturated.
+or LogLuv pixels. Some programs write pixels with impossible values. These are changed, with a
+warning: NaN (not a number) becomes black, an infinite value the largest possible one, and a
+colour with a negative value becomes less saturated.
 
 Examples:
   hdralign tonemap room.exr                           write room.png beside it
@@ -61,8 +61,8 @@ pub struct Args {
 
     /// Print no progress, summary or warnings, only errors and file names
     ///
-    /// stdout is the same as without -q: the names of the files written, or JSON. Errors go to stderr. Without -q,
-    /// progress is shown if stderr is a terminal
+    /// For scripts: stdout is the same as without -q: the names of the files written, or JSON. Errors go to stderr.
+    /// Without -q, progress is shown if stderr is a terminal
     #[arg(short, long, help_heading = OUTPUT)]
     quiet: bool,
 

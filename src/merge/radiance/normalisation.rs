@@ -32,7 +32,9 @@ pub fn validate(unit_exposure: f64, calibration: &Calibration) -> Result<()> {
     }
     if calibration.is_asked() {
         return refused(
-            "--calibration-factor without --absolute refers to the unit of one reference frame; add --absolute, or remove --calibration-factor".into(),
+            "cannot be combined with --calibration-factor, which is for the exposure of one reference frame; \
+             remove --calibration-factor, or replace --normalize with --absolute"
+                .into(),
         );
     }
     Ok(())

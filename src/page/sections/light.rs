@@ -40,8 +40,10 @@ fn histogram(page: &Page, report: &Report, curve: &ResponseCurve) -> Option<Stri
     let normalised = report.radiance.as_ref().and_then(|r| Some(r.unit_exposure_s? / r.reference_exposure));
     let unit = report.calibration.as_ref().map(|c| c.cd_m2_per_unit).or(normalised).map_or(0.0, libm::log2);
     let middle = match normalised {
-        Some(factor) if factor != 1.0 => "luminance, stops relative to the middle pixel value at unit exposure",
-        _ => "luminance, stops relative to the middle pixel value of the reference",
+        Some(factor) if factor != 1.0 => {
+            "luminance, stops relative to 1.0 (pixel value 128 at the exposure of --normalize)"
+        }
+        _ => "luminance, stops relative to 1.0 (pixel value 128 in the reference frame)",
     };
     let stops = stops_over_reference(report);
     let measured = |code: usize, ev: f64| libm::log2(f64::from(curve.exposures(1)[code])) - ev + unit;

@@ -25,7 +25,7 @@ pub(in crate::page) fn facts(report: &Report) -> String {
     let mut facts = vec![("Frames", report.frames.len().to_string(), became.join(", "))];
     if let Some(stops) = report.radiance.as_ref().and_then(|merged| merged.range_stops) {
         let range = format!("{stops:.1} stops");
-        facts.push(("Dynamic range", range, "of the result, from the noise to clipping".into()));
+        facts.push(("Dynamic range", range, "of the result, between the noise floor and clipping".into()));
     }
     let shift = |f: &crate::report::FrameReport| f.alignment.shift_px.map_or(0.0, |[x, y]| (x * x + y * y).sqrt());
     let most = report.frames.iter().map(shift).fold(0.0, f64::max);

@@ -65,7 +65,8 @@ fn frames(report: &Report) -> String {
         - taken.iter().map(|f| stops(f)).fold(f64::MAX, f64::min);
     words += &format!(" Their exposures are {span:.1} stops apart.");
     if let Some(stops) = report.radiance.as_ref().and_then(|merged| merged.range_stops) {
-        words += &format!(" The dynamic range of the result is {stops:.1} stops, from the noise to clipping.");
+        words +=
+            &format!(" The dynamic range of the result is {stops:.1} stops, between the noise floor and clipping.");
     }
     let out = [
         (

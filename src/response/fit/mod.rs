@@ -101,7 +101,7 @@ pub fn enough(samples: usize) -> Result<()> {
 pub fn check(samples: &[Sample]) -> Fitted<()> {
     if samples.len() < FEWEST {
         return Err(format!(
-            "only {} flat places of the scene are unclipped in at least two frames, and {FEWEST} are needed",
+            "only {} evenly bright places of the scene are unclipped in at least two frames, and {FEWEST} are needed",
             samples.len()
         ));
     }
@@ -113,7 +113,11 @@ pub fn check(samples: &[Sample]) -> Fitted<()> {
         ));
     }
     if codes.1 - codes.0 < SPAN {
-        return Err(format!("flat places have only pixel values from {:.0} to {:.0}", codes.0, codes.1));
+        return Err(format!(
+            "the evenly bright places of the scene have only pixel values from {:.0} to {:.0}, \
+             and a range of {SPAN} is needed",
+            codes.0, codes.1
+        ));
     }
     Ok(())
 }

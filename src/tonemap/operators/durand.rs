@@ -34,7 +34,12 @@ impl Options {
     /// The settings by name.
     pub fn settings(&mut self) -> Vec<Setting<'_>> {
         vec![
-            Setting::number("base", (0.5, 10.0), &mut self.base_stops, "range of the compressed base, in stops"),
+            Setting::number(
+                "base",
+                (0.5, 10.0),
+                &mut self.base_stops,
+                "range that large differences of brightness are reduced to, in stops",
+            ),
             Setting::number(
                 "reach",
                 (0.002, 0.2),

@@ -28,13 +28,13 @@ pub enum Compression {
     /// Wavelet and Huffman coding of 32 rows: the smallest files for photographs.
     #[default]
     Piz,
-    /// Deflate of 16 rows at a time.
+    /// Slightly larger files than piz; Deflate of 16 rows at a time.
     #[strum(serialize = "zip")]
     Zip16,
-    /// Deflate of one row at a time.
+    /// Larger files than zip, for programs that read single rows; Deflate of each row.
     #[strum(serialize = "zips")]
     Zip1,
-    /// No compression: about 1.6 times the size of piz with half floats, 1.1 times with 32-bit floats.
+    /// No compression: 1.4 to 2 times the size of piz with half floats, 1.1 times with 32-bit floats.
     None,
 }
 

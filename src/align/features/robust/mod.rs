@@ -16,7 +16,7 @@ pub use consensus::{Consensus, RansacOptions, distance_squared};
 #[serde(rename_all = "kebab-case")]
 #[strum(serialize_all = "kebab-case")]
 pub enum RobustMethod {
-    /// The transform that the most matches agree with; up to four fifths of the matches may be wrong.
+    /// The transform that fits more matches than any other; up to four fifths of the matches may be wrong.
     #[default]
     Ransac,
     /// The transform with the least median of the squared errors. Needs no threshold, but more than half of the matches
