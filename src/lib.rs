@@ -83,8 +83,8 @@
 //!
 //! A module uses only those before it: [`error`], [`limits`], `intake`, `tiff_file`, [`simd`], [`plane`], `statistics`,
 //! [`scratch`], `budget`, [`pyramid`], `pixel`, [`bracket`], [`align`], [`response`], [`merge`], [`tonemap`],
-//! [`mod@write`], [`read`], [`report`], `draw`, [`inspect`], [`compare`], `page`, [`pipeline`], [`batch`]; the
-//! program's `cli` is the last one. In the folder of a stage, `mod.rs` has the main types, and has or re-exports the
+//! [`mod@write`], [`read`], [`report`], `draw`, [`inspect`], [`compare`], `page`, [`pipeline`], [`batch`], and
+//! the program's `cli`. In the folder of a stage, `mod.rs` has the main types, and has or re-exports the
 //! entry function.
 //!
 //! # Reproducible results

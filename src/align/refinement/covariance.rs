@@ -16,6 +16,11 @@ use nalgebra::{DMatrix, DVector};
 /// for a covariance of eight parameters.
 const BLOCKS: usize = 6;
 
+/// Derivative of Tukey's score by the residual, as a share of the weight by which it enters A: 0.758 / 0.915, the means
+/// of psi' = (1 - t^2) (1 - 5 t^2) and of w = (1 - t^2)^2 with t = r / 4.685 for normal residuals r. (Huber, Robust
+/// Statistics, 1981, section 7.6: the covariance of an M-estimate depends on psi', not on w.)
+const CURVATURE: f64 = 0.83;
+
 /// The points of a refinement step.
 pub(super) struct Scores<'a> {
     pub(super) points: &'a [Point],
@@ -30,15 +35,15 @@ pub(super) struct Scores<'a> {
 }
 
 impl Scores<'_> {
-    /// Returns the covariance of the parameters; none where `whole` is singular.
+    /// Returns the covariance of the parameters; none where it is not determined.
     ///
-    /// `data` is A of the points alone, `whole` is A with the prior, which counts `factor`^2 times
-    /// ([`add_prior`](crate::align::transform::Increment::add_prior)). With the covariance S of the scores and P =
-    /// `whole` - `data`, the result is `whole`^-1 (S + A + `factor`^2 P) `whole`^-1. A is the variance of independent
-    /// noise, a lower bound where few blocks have detail.
+    /// `data` is A of the points alone, `whole` is A with the prior P, which counts `factor`^2 times
+    /// ([`add_prior`](crate::align::transform::Increment::add_prior)). With the covariance S of the scores and the
+    /// derivative D of the scores, which is [`CURVATURE`] A + P, the result is D^-1 (S + A + `factor`^2 P) D^-1. A is
+    /// the variance of independent noise, a lower bound where few blocks have detail.
     pub(super) fn covariance(&self, data: &DMatrix<f64>, whole: &DMatrix<f64>, factor: f64) -> Option<DMatrix<f64>> {
-        let inverse = whole.clone().cholesky()?.inverse();
         let prior = whole - data;
+        let inverse = (data * CURVATURE + &prior).cholesky()?.inverse();
         let variance = self.blocks(data.nrows()) + data + prior * (factor * factor);
         Some(&inverse * variance * &inverse)
     }
@@ -100,10 +105,10 @@ mod tests {
     #[test]
     fn correlated_residuals_add_as_much_variance_as_they_cause() {
         // The variance of independent noise counts in addition. The square sums of 36 blocks for two parameters have a
-        // standard error of sqrt(2 / 72) = 17 % of the first part.
+        // standard error of sqrt(2 / 72) = 17 % of the first part, which the curvature increases to 24 %.
         for alike in [1, 4, 10] {
-            let expected = alike as f64 + 1.0;
-            assert!((excess(alike) - expected).abs() < 0.5 * alike as f64, "{alike}: {} for {expected}", excess(alike));
+            let expected = (alike as f64 + 1.0) / (CURVATURE * CURVATURE);
+            assert!((excess(alike) - expected).abs() < 0.7 * alike as f64, "{alike}: {} for {expected}", excess(alike));
         }
     }
 
