@@ -127,7 +127,7 @@ fn absolute_files_state_their_unit_and_other_formats_are_rejected() {
     let aligned = folder.listing().into_iter().find(|(name, _)| name.starts_with("al_")).unwrap().0;
     assert!(has("a.exr") && !has(&aligned), "a frame has no unit");
     run(Options { report: Some(files[2].clone()), ..options(Some(0.25)) }).unwrap();
-    assert!(String::from_utf8_lossy(&folder.bytes("a.html")).contains("at unit exposure"));
+    assert!(String::from_utf8_lossy(&folder.bytes("a.html")).contains("at the exposure of --normalize"));
 
     let given = LoadOptions { ev: Some(vec![-2.0, 0.0, 2.0]), ..LoadOptions::default() };
     let absolute = Calibration { camera: true, factor: None };
