@@ -34,8 +34,8 @@ use std::f64::consts::LN_2;
 #[strum(serialize_all = "kebab-case")]
 pub enum Exposures {
     /// Correct the values of the exposures to match the pixels: by up to 1/6 stop if all are from EXIF, by up to 3/4
-    /// stop if all are estimated. None is corrected with -e, if some are from EXIF and some estimated, or if the
-    /// bracket has only two different exposures.
+    /// stop if all are estimated. No exposure is corrected in these three cases: -e is given; some exposures are from
+    /// EXIF and some are estimated; the bracket has only two different exposures.
     #[default]
     FineTuned,
     /// Use the values from EXIF, from -e or from the estimate without correction.
