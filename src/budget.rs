@@ -255,8 +255,9 @@ impl Budget {
         (1..=threads).rev().find(|&threads| self.demand.on_disk(threads) <= self.available).unwrap_or(1)
     }
 
-    /// Returns the bytes of frames and radiance to merge at a time (a slab) if the frames are on disk: half of what the
-    /// threads leave, because the allocator may keep memory of the previous slab.
+    /// Returns the size, in bytes, of the frames and radiance that are merged at a time (a slab) if the frames are on
+    /// disk. It is half of the memory that remains beside the buffers of the threads, because the allocator may keep
+    /// memory of the previous slab.
     pub fn slab(&self, threads: usize) -> u64 {
         self.available.saturating_sub(self.demand.thread() * threads as u64) / 2
     }

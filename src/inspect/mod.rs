@@ -242,8 +242,8 @@ impl Inspection<'_> {
         self.evidence[i].xor.as_ref()
     }
 
-    /// Returns the matches of frame `i` with the reference, of photograph and bitmaps merged, or `None` for the
-    /// reference.
+    /// Returns the matches of frame `i` with the reference, those of the photograph and those of its bitmaps in one
+    /// list, or `None` for the reference.
     pub fn matching(&self, i: usize) -> Option<&Matching> {
         self.detected(i).matchings.as_ref().map(|all| &all[FeatureKind::Merged as usize])
     }

@@ -263,7 +263,7 @@ impl Pairs {
         }
         for (ratio, (weight, sum)) in self.ratios.iter_mut().zip(sums) {
             ratio.weight = weight;
-            // Two exposures without a weighted place keep the given ratio.
+            // If no place has a weight above 0 in both of two exposures, their given ratio is kept.
             if weight > 0.0 {
                 ratio.ln_ratio = sum / weight;
             }

@@ -6,8 +6,10 @@
 //! section VI.
 //!
 //! The residuals of neighbouring points are not independent: smoothing, JPEG and aliasing correlate them, and where the
-//! tones, a lens or a thing that moved do not fit, they have the same sign. So the sum of the scores J^T g r w over a
-//! block of the picture is taken as one observation: its square is what the block adds to the variance of b.
+//! tones, a lens or a thing that moved do not fit, they have the same sign. Let J^T g r w be the score of a point (J:
+//! Jacobian of its position, g: gradient, r: residual, w: weight); b, the right side of the normal equations, is the
+//! sum of all scores. The sum s of the scores of a block of the picture is taken as one observation, which adds s s^T
+//! to the variance of b.
 
 use crate::align::refinement::frame_pair::Point;
 use nalgebra::{DMatrix, DVector};

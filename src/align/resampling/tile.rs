@@ -85,7 +85,8 @@ impl<T: Copy + Into<f32>> Source<'_, T> {
         &self.codes[from..from + 3 * self.size.0]
     }
 
-    /// Returns the value at (u, v), which must be within the rectangle of pixel centres; the border is repeated.
+    /// Returns the value at (u, v), which must be within the rectangle of pixel centres; where the kernel reaches
+    /// beyond the border, the pixels of the border are repeated.
     #[inline(always)]
     pub(super) fn at(&self, u: f64, v: f64) -> [f32; 3] {
         let most = f64::from(i32::MAX);

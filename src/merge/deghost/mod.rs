@@ -274,8 +274,8 @@ fn side(region: Rect) -> usize {
     side
 }
 
-/// Replaces the standard, in cells where `frame` did not move, by `frame` if the standard is missing, only a bound of
-/// the radiance, or much noisier.
+/// In cells where `frame` did not move, takes `frame` as the standard if there is no standard, if the standard is only
+/// a bound of the radiance, or if it is much noisier.
 fn take_over(standard: &mut Plane<Cell>, frame: &Plane<Cell>, moved: &Plane<bool>, meanings: &[&Meaning]) {
     standard.fill_rows(|y, row| {
         for ((s, f), moved) in row.iter_mut().zip(frame.row(y)).zip(moved.row(y)) {

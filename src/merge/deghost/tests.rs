@@ -80,8 +80,8 @@ fn a_mover_is_left_out_and_the_rest_is_untouched() {
 
 #[test]
 fn clipped_reference_is_replaced_as_standard_by_the_next_frame_that_agrees() {
-    // The reference is clipped at 1. One of the two shorter frames has a dark object in front of the sky, and the other
-    // does not: first the shortest, then the next.
+    // The reference is clipped at 1. One of the two shorter frames has a dark object in front of the sky: in the first
+    // case the shortest frame, in the second case the next longer one.
     let sky = |_: usize, _: usize| [2.5, 2.6, 2.8];
     let times = [0.0625, 0.25, 1.0, 4.0];
     for frame in [0, 1] {

@@ -61,7 +61,8 @@ pub struct LocalGain {
 #[derive(Debug, Clone, PartialEq)]
 struct Processed {
     path: String,
-    /// For each cell a and b of the base a x + b, where x is the logarithm of a pixel's radiance in stops.
+    /// The coefficients a and b of each cell: its base is a x + b, where x is the logarithm of a pixel's radiance in
+    /// stops.
     base: Plane<[f32; 2]>,
     /// For each cell the scene's base minus the frame's base, in stops, and whether the cell is known.
     lacks: Plane<(f32, bool)>,

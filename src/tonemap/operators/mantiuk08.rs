@@ -328,8 +328,8 @@ mod tests {
         contrasts.iter().map(square).sum()
     }
 
-    /// Moving range from one piece to another does not reduce the distortion. The paper's iteration, which fixes the
-    /// ratio of response and contrast, ends within 5 percent of the minimum.
+    /// The distortion does not decrease if one piece of the curve gives a part of its output range to another piece.
+    /// The paper's iteration, which fixes the ratio of response and contrast, ends within 5 percent of the minimum.
     #[test]
     fn no_curve_near_by_distorts_less() {
         let scene = scene(&radiance(12.0, 1.0));

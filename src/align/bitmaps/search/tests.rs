@@ -129,8 +129,8 @@ fn a_smooth_slope_does_not_pull() {
     let truth = shift(5.3, -11.6);
     let take = |transform: &Transform, ev| GreyPyramid::new(photograph((512, 384), transform, Shot::at(ev), fog));
     let motion = search(&take(&Transform::Identity, 0.0), &take(&truth, 2.0), 0, &MtbOptions::default()).motion;
-    // On the slope, 3 px differ by one code value. A threshold can only be between code values; nevertheless the motion
-    // is right to a tenth of a code value, which is 0.3 px.
+    // On the slope, the brightness rises by one code value in 3 px. A threshold can only be between code values;
+    // nevertheless the motion is right to a tenth of a code value, which is 0.3 px.
     assert!((motion.dx - 5.3).abs() < 0.3 && (motion.dy + 11.6).abs() < 0.3, "{motion:?}");
 }
 
