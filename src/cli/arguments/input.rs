@@ -91,7 +91,7 @@ A result is degraded if
 - the flash fired in some frames only, or the camera tone-mapped the frames locally
 - an exposure is missing, was estimated, or contradicts the pixels
 - the response could not be recovered, is of another camera, or contradicts the pixels
-- the brackets of `response` are of different cameras
+- the brackets given to `hdralign response` are of different cameras
 - `batch --shared-response` could not use a bracket for the response of its camera
 The results are written in any case. Frames that the user excluded do not count";
 
