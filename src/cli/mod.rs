@@ -51,7 +51,7 @@ enum Command {
     Response(commands::response::Args),
     /// Draw pictures that show how a bracket was aligned
     Inspect(commands::inspect::Args),
-    /// Make a picture from an HDR file (tone mapping), or convert it to another format
+    /// Make a picture from an HDR file (tone mapping), or convert the file to another format
     Tonemap(commands::tonemap::Args),
     /// Compare two radiance maps or two pictures, within a tolerance
     Compare(commands::compare::Args),

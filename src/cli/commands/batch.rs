@@ -143,7 +143,7 @@ struct Places {
     /// Set the folder for the results [default: beside the photographs]
     ///
     /// With `batch night -d out`, results of night/x/IMG_1.jpg go to out/x. If several of the given folders contain
-    /// brackets, they go to out/night/x. out itself is not searched
+    /// brackets, the results go to out/night/x. out itself is not searched
     #[arg(short = 'd', long = "output-folder", value_name = "FOLDER")]
     output: Option<PathBuf>,
 
@@ -204,7 +204,7 @@ struct Acting {
     #[command(flatten)]
     merging: Merging,
 
-    /// Set which brackets share a brightness scale (set: those of a panorama)
+    /// Set which brackets share a brightness scale (`set`: of one panorama)
     ///
     /// The value 1.0 stands for the same radiance in all results with the same scale. Panoramas can then be stitched
     #[arg(long, help_heading = MERGE, alias = "normalise", value_parser = choice::<Normalisation>(), default_value_t, value_name = "WHAT")]

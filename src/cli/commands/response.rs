@@ -32,9 +32,9 @@ fn adapted(arg: clap::Arg) -> clap::Arg {
             .help("Set the reference frame of each bracket: its number (1 is the first); its file name only if there is one bracket")
             .long_help(
                 "Set the reference frame of each bracket: its number (1 is the first); its file name only if there is one bracket\n\n\
-                 The other frames are aligned to it. The number is its position among the photographs of its \
-                 bracket: in the order of the command or, in a folder, of the names. By default, the reference is the \
-                 best exposed frame",
+                 The other frames are aligned to it. Photographs are numbered within their bracket: in the \
+                 order of the command or, if a folder is given, in the order of their names. By default, \
+                 the reference is the best exposed frame",
             ),
         "ev" => arg
             .help("Set the exposures in EV, one for each photograph, in the order of the photographs in the command; only if there is one bracket")
