@@ -89,11 +89,11 @@ pub struct XorCurves {
     pub before: f64,
     /// The share that differs at the estimated motion.
     pub after: f64,
-    /// The share by rotation, at the estimated shift.
+    /// The share as a function of the rotation; the shift is the estimated one.
     pub by_angle: Curve,
-    /// The share by shift to the right, at the estimated rotation and shift downwards.
+    /// The share as a function of the shift to the right; the rotation and the shift downwards are the estimated ones.
     pub by_dx: Curve,
-    /// The share by shift downwards, at the estimated rotation and shift to the right.
+    /// The share as a function of the shift downwards; the rotation and the shift to the right are the estimated ones.
     pub by_dy: Curve,
 }
 

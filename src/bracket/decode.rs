@@ -99,7 +99,7 @@ pub(super) fn decode(path: &Path, bytes: Vec<u8>, limits: &Limits) -> Result<Dec
     });
     let turn = orientation(exif.as_ref());
     let (samples, width, height) = orient::apply(stored.samples, stored.width, stored.height, turn);
-    // Applying the orientation needs a second copy of the samples.
+    // While the orientation is applied, two copies of the samples are in memory: the stored and the upright one.
     let turning = if turn == 1 { 0 } else { 2 * samples.bytes() };
     Ok(Decoded {
         width,

@@ -8,9 +8,10 @@ use super::FLOOR;
 use super::layer::{CLIPPED, COLUMNS, Fill, Layer, Meaning, PAINTED, Row, Taken, Tile};
 use crate::simd::{at_least, at_most};
 
-/// Largest e, the extra weight of the shortest and of the longest exposure, relative to the weight of the frame's
-/// middle code value: the hat weight of code value 1. If it were smaller, a second frame that noise lifts from black by
-/// one code value would outweigh the longest exposure; if it were larger, clipped code values would contribute.
+/// Upper limit of e, the extra weight that the shortest and the longest exposure get, as a fraction of the weight of
+/// the frame's middle code value. It equals the hat weight of code value 1. If it were smaller, a shorter frame that
+/// noise lifts from black by one code value would outweigh the longest exposure. If it were larger, clipped code values
+/// would contribute too much.
 const DECIDE: f32 = 1.0 / 127.5;
 /// Smallest e, relative to the weight of the frame's middle code value: keeps the sum of weights above zero where the
 /// shortest exposure is black and the longest clipped.

@@ -42,8 +42,9 @@ const REACH: f64 = 4.685;
 const LOCAL: f64 = 0.04;
 const POWER: f64 = 5.0;
 /// Frames that differ by more than this fraction of an exposure step were not compressed, whatever their variation over
-/// the picture. The fraction was 0.40 to 1.02 on 24 brackets of phones (truth.py), and 1.17 to 1.59 on six photographed
-/// ones, because camera curves are steeper than sRGB's. Water and moving lights had variations of 0.48 stops.
+/// the picture: that of water under moving lights, which was not compressed, was 0.48 stops. The fraction was 0.40 to
+/// 1.02 on 24 brackets of phones (truth.py). It was 1.17 to 1.59 on six photographed brackets: above 1, because camera
+/// curves are steeper than sRGB's.
 const COMPRESSED: f64 = 1.2;
 /// Number of standard errors that are subtracted from a variance, because neighbours are correlated by more than noise.
 const ERRORS: f64 = 4.0;
@@ -60,8 +61,9 @@ pub struct Evidence {
     /// The median fraction at the brightness level where it is largest, because places of that level are compressed
     /// least.
     pub most_step_fraction: f64,
-    /// Standard deviation, over the neighbourhoods of the picture, of the ratio of two frames at the same code, in
-    /// stops. It is that of the pair of frames for which it is largest; 0 if noise explains it.
+    /// Standard deviation of the ratio of two frames between the neighbourhoods of the picture, in stops. The part that
+    /// the code value explains and the part that noise explains are subtracted. It is that of the pair of frames for
+    /// which it is largest; 0 if noise explains all of it.
     pub variation_stops: f64,
     /// Whether the frames are locally processed.
     pub is_local: bool,

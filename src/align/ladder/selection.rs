@@ -53,10 +53,10 @@ impl Candidates {
 
     /// The selected candidate and its target.
     ///
-    /// This is the best candidate, unless another one against the same target with comparable evidence is decisively
-    /// better on the tiles that are decided under both. Then the candidate is selected whose worst comparison with the
-    /// others is best. (A wrong shift, by a period of a facade, may have more evidence only because more of its tiles
-    /// are inside the frame.)
+    /// This is the best candidate, unless another one with the same target and comparable evidence is decisively
+    /// better. Then the candidate is selected whose worst comparison with the others is best. Two candidates are
+    /// compared only on tiles that have a correlation under both transforms. (A wrong shift, by a period of a facade,
+    /// may have more evidence only because more of its tiles are inside the frame.)
     pub(super) fn winner(&self, alike: impl Fn(&Candidate, &Candidate) -> bool) -> Option<(usize, &Candidate)> {
         let (target, best) = self.best()?;
         let contenders = self.alternatives(target, best, |_| true);

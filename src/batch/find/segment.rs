@@ -313,7 +313,8 @@ fn is_extended(exposures: &[TimedExposure], sorted: &[f64]) -> bool {
             begin = i;
         }
     }
-    // As bias, some cameras record the compensation on the dial, others the sum of compensation and position.
+    // Some cameras record the compensation on the dial as the bias; others record the sum of this compensation and the
+    // frame's position in the bracketing sequence.
     let is_shifted = |dialled: fn(&(f64, f64)) -> f64| {
         let is_constant = |run: &&[(f64, f64)]| run.iter().all(|frame| is_same(dialled(frame), dialled(&run[0])));
         runs.iter().all(is_constant) && runs.windows(2).all(|w| !is_same(dialled(&w[0][0]), dialled(&w[1][0])))

@@ -37,7 +37,8 @@ pub(super) const MAGNIFIED: usize = 2;
 const APART: f64 = 0.35;
 /// Smallest gradient that is shown at full strength, so that noise is faint in a picture without contrast.
 pub(super) const LEAST_FULL: f32 = 0.05;
-/// Smallest gradient that a detail shows at full strength, relative to that of the whole picture.
+/// Smallest gradient that is shown at full strength in a detail (an enlarged area), as a fraction of the gradient from
+/// which on the view of the whole picture shows full strength.
 const FAINT_DETAIL: f32 = 0.6;
 
 /// The reference and a frame, with the transform between them.

@@ -171,7 +171,8 @@ impl Holes {
                 ((pixel[c] - begins) / (sure - begins)).clamp(0.0, 1.0)
             });
             let white = clipped.into_iter().fold(1.0, f32::min);
-            // A channel that is not clipped limits how much of the continued radiance is used.
+            // `shown` is the fraction of the continued radiance (`more`) that is used. A channel that is not clipped
+            // limits it to pixel / more, a clipped one does not limit it, and a partly clipped one is in between.
             let shown = |c: usize| 1.0 - (1.0 - clipped[c]) * (1.0 - pixel[c] / more[c].max(FLOOR)).max(0.0);
             let shown = shown(0).min(shown(1)).min(shown(2));
             // A pixel that is white in all channels has lost its colour, but its brightest channel is a lower bound of

@@ -39,8 +39,9 @@ impl Surroundings {
         Surroundings { guide, columns }
     }
 
-    /// Replaces the log odds of consecutive pixels, starting in column `x`, by the log odds of their surroundings.
-    /// `lines` are what the guide gives for this row of the picture.
+    /// Replaces the log odds of pixels by those of their surroundings. `odds` are log2(Y / (1 - Y)) of the display
+    /// luminances Y of consecutive pixels, the first of which is in column `x`. `lines` are what the guide gives for
+    /// this row of the picture.
     #[inline(always)]
     pub fn around<const N: usize>(&self, x: usize, lines: &[[f32; 2]], odds: &mut [f32; N]) {
         for (t, [a, b]) in odds.iter_mut().zip(interpolated(&self.columns, x, lines)) {

@@ -32,7 +32,8 @@ impl ToSrgb {
         ToSrgb(Conversion::between(primaries, &Primaries::SRGB))
     }
 
-    /// Converts from `primaries` such that light of the chromaticity `light` (CIE xy, relative to D65) becomes white.
+    /// Converts from `primaries` such that light of the chromaticity `light` becomes white. `light` is the CIE xy after
+    /// the white of `primaries` is adapted to D65.
     pub fn balanced(primaries: &Primaries, light: [f64; 2]) -> Self {
         let known = Conversion::balanced(primaries, &Primaries::SRGB, light);
         // Degenerate primaries are treated as sRGB, as by [`from`](Self::from).

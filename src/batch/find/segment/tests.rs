@@ -325,7 +325,8 @@ fn card(habit: &Habit, brackets: usize, seed: u64) -> Card {
         if !chance.is(habit.alike) {
             middle = metered(&mut chance, habit);
         }
-        // Frames between automatic brackets are in automatic mode; others have the mode of the brackets.
+        // Mode of the frames between the brackets: automatic if the camera brackets automatically, otherwise that of
+        // the brackets.
         let mode = if habit.mode == Mode::AutoBracket { Mode::Automatic } else { habit.mode };
         let place = says_places.then_some(0.0);
         if chance.is(habit.singles) {
