@@ -1,8 +1,8 @@
 //! Bitmaps warped to another picture's grid by a shift and a rotation.
 //!
 //! In: a frame's bitmaps and a [`Motion`]. Out: the bitmaps on the reference's grid, where motions with the same
-//! rotation are tried by shifting these bitmaps, without warping again. Cost: 1 piece per word without rotation, about 7
-//! (at most 11) at 5 degrees, some 10 ns each; nothing is allocated. Source: the thesis rotates the picture pixel by
+//! rotation are tried by shifting these bitmaps, without warping again. Cost: 1 piece per word without rotation, about
+//! 7 (at most 11) at 5 degrees, some 10 ns each; nothing is allocated. Source: the thesis rotates the picture pixel by
 //! pixel (chapter 4); the decomposition of a rotated row into pieces of rows is new here.
 
 use crate::align::bitmaps::ThresholdBitmaps;
