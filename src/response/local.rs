@@ -43,8 +43,8 @@ const LOCAL: f64 = 0.04;
 const POWER: f64 = 5.0;
 /// Frames that differ by more than this fraction of an exposure step were not compressed, whatever their variation over
 /// the picture: that of water under moving lights, which was not compressed, was 0.48 stops. The fraction was 0.40 to
-/// 1.02 on 24 brackets with simulated phone processing (truth.py). It was 1.17 to 1.59 on six photographed brackets: above 1, because camera
-/// curves are steeper than sRGB's.
+/// 1.02 on 24 brackets with simulated phone processing (truth.py). It was 1.17 to 1.59 on six photographed brackets:
+/// above 1, because camera curves are steeper than sRGB's.
 const COMPRESSED: f64 = 1.2;
 /// Number of standard errors that are subtracted from a variance, because neighbours are correlated by more than noise.
 const ERRORS: f64 = 4.0;
