@@ -179,13 +179,9 @@ impl Pattern {
             values.extend_from_slice(&both.reference.row(y)[left..left + side]);
         }
         mask.extend(values.iter().map(|&v| if both.tones.weight(v) >= LEAST_WEIGHT { 1.0 } else { 0.0 }));
-        let (count, sum) = vectorised(Count { values: &mut values, mask: &mask });
-        if count < LEAST_PIXELS {
-            return None;
-        }
-        let energy = vectorised(Centre { values: &mut values, mask: &mask, mean: sum / count });
-        let has_contrast = energy >= LEAST_CONTRAST * LEAST_CONTRAST * count;
-        has_contrast.then_some(Pattern { left, top, side, values, mask, count, energy })
+        let (count, energy) = vectorised(Centre { values: &mut values, mask: &mask });
+        let is_decided = count >= LEAST_PIXELS && energy >= LEAST_CONTRAST * LEAST_CONTRAST * count;
+        is_decided.then_some(Pattern { left, top, side, values, mask, count, energy })
     }
 
     /// Whether the contrast of the pattern is less than twice [`LEAST_CONTRAST`].
@@ -202,66 +198,35 @@ impl Pattern {
     }
 }
 
-/// Sets the pixels without weight to 0.
-struct Count<'a> {
+/// Subtracts the mean from the pixels with weight, and sets the others to 0.
+struct Centre<'a> {
     values: &'a mut [f32],
     mask: &'a [f32],
 }
 
-impl Loops for Count<'_> {
-    /// The number of pixels with weight, and the sum of their grey values.
+impl Loops for Centre<'_> {
+    /// The number of pixels with weight, and the sum of the squares of the values.
     type Output = (f32, f32);
 
     #[inline(always)]
     fn run(self) -> Self::Output {
-        let (mut counts, mut sums) = ([0.0f32; LANES], [0.0f32; LANES]);
-        let (values, values_rest) = self.values.as_chunks_mut::<LANES>();
-        let (mask, mask_rest) = self.mask.as_chunks::<LANES>();
-        for (v, m) in values.iter_mut().zip(mask) {
-            for i in 0..LANES {
-                v[i] *= m[i];
-                counts[i] += m[i];
-                sums[i] += v[i];
+        let (mut counts, mut sums, mut squares) = ([0.0f32; LANES], [0.0f32; LANES], [0.0f32; LANES]);
+        for (values, mask) in self.values.chunks_mut(LANES).zip(self.mask.chunks(LANES)) {
+            for (i, (v, m)) in values.iter_mut().zip(mask).enumerate() {
+                *v *= m;
+                counts[i] += m;
+                sums[i] += *v;
             }
         }
-        let (mut count, mut sum) = (total(&counts), total(&sums));
-        for (v, m) in values_rest.iter_mut().zip(mask_rest) {
-            *v *= m;
-            count += m;
-            sum += *v;
-        }
-        (count, sum)
-    }
-}
-
-/// Subtracts the mean from the pixels with weight.
-struct Centre<'a> {
-    values: &'a mut [f32],
-    mask: &'a [f32],
-    mean: f32,
-}
-
-impl Loops for Centre<'_> {
-    /// The sum of the squares of the results.
-    type Output = f32;
-
-    #[inline(always)]
-    fn run(self) -> Self::Output {
-        let mut squares = [0.0f32; LANES];
-        let (values, values_rest) = self.values.as_chunks_mut::<LANES>();
-        let (mask, mask_rest) = self.mask.as_chunks::<LANES>();
-        for (v, m) in values.iter_mut().zip(mask) {
-            for i in 0..LANES {
-                v[i] -= m[i] * self.mean;
-                squares[i] += v[i] * v[i];
+        let count = total(&counts);
+        let mean = total(&sums) / count.max(1.0);
+        for (values, mask) in self.values.chunks_mut(LANES).zip(self.mask.chunks(LANES)) {
+            for (i, (v, m)) in values.iter_mut().zip(mask).enumerate() {
+                *v -= m * mean;
+                squares[i] += *v * *v;
             }
         }
-        let mut energy = total(&squares);
-        for (v, m) in values_rest.iter_mut().zip(mask_rest) {
-            *v -= m * self.mean;
-            energy += *v * *v;
-        }
-        energy
+        (count, total(&squares))
     }
 }
 

@@ -7,8 +7,8 @@
 //! The similarity of a picture to itself falls with the length of the shift. In a picture that does not repeat, it
 //! stays low. In a facade, it is high again at the period, and low at half the period.
 
-use crate::align::agreement::check_tiles;
 use crate::align::agreement::pattern::{Pattern, Shift, Warped};
+use crate::align::agreement::{Agreement, check_tiles};
 use crate::align::grey::{GreyPyramid, level_within, measured_level};
 use crate::align::refinement::{FramePair, refine};
 use crate::align::transform::{Model, Transform, on_level};
@@ -103,27 +103,35 @@ pub(crate) fn periods(picture: &GreyPyramid, max_shift: f64) -> Vec<(f64, f64)> 
     found.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     let scale = (1u64 << level) as f64;
     let mut periods: Vec<(f64, f64)> = Vec::new();
+    if found.is_empty() {
+        return periods;
+    }
+    let least = LEAST_EVIDENCE * agreement(&pair, &Matrix3::identity()).agreeing as f64;
     for (_, (x, y)) in found.into_iter().take(MOST) {
-        let refined = confirmed(&pair, (scale * x as f64, scale * y as f64));
+        let refined = confirmed(&pair, (scale * x as f64, scale * y as f64), least);
         let same = |a: &(f64, f64), b: &(f64, f64)| (a.0 - b.0).abs().max((a.1 - b.1).abs()) < scale * LEAST as f64;
         periods.extend(refined.filter(|found| periods.iter().chain([&(0.0, 0.0)]).all(|known| !same(known, found))));
     }
     periods
 }
 
-/// Returns the refined shift, in pixels of the full size, if tiles all over the picture match under it. The few patches
-/// of [`periods`] may also match in a picture that does not repeat, for example on the parts of a lampshade.
-fn confirmed(pair: &FramePair, (dx, dy): (f64, f64)) -> Option<(f64, f64)> {
+/// Returns the refined shift, in pixels of the full size, if tiles all over the picture match under it: if at least
+/// `least` more tiles agree than disagree. The few patches of [`periods`] may also match in a picture that does not
+/// repeat, for example on the parts of a lampshade.
+fn confirmed(pair: &FramePair, (dx, dy): (f64, f64), least: f64) -> Option<(f64, f64)> {
     let (width, height) = pair.size();
     let measured = measured_level(pair.reference());
-    let tiles = |h: &Matrix3<f64>| check_tiles(pair.level(measured), &on_level(h, measured)).agreement;
     // The shift is exact to a pixel of the level of the patches.
     let start = Transform::Rigid { dx, dy, angle: 0.0 };
-    let refined = refine(pair, &start, Model::Shift, (measured + 1, measured))?;
-    let h = refined.transform.matrix(width, height);
-    let (shifted, all) = (tiles(&h), tiles(&Matrix3::identity()));
-    let evidence = shifted.agreeing as f64 - shifted.disagreeing as f64;
-    (evidence >= LEAST_EVIDENCE * all.agreeing as f64).then_some((h[(0, 2)], h[(1, 2)]))
+    let h = refine(pair, &start, Model::Shift, (measured + 1, measured))?.transform.matrix(width, height);
+    let shifted = agreement(pair, &h);
+    (shifted.agreeing as f64 - shifted.disagreeing as f64 >= least).then_some((h[(0, 2)], h[(1, 2)]))
+}
+
+/// Returns the agreement of all tiles under `h`, in pixels of the full size.
+fn agreement(pair: &FramePair, h: &Matrix3<f64>) -> Agreement {
+    let measured = measured_level(pair.reference());
+    check_tiles(pair.level(measured), &on_level(h, measured)).agreement
 }
 
 #[cfg(test)]

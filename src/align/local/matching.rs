@@ -76,7 +76,7 @@ pub(super) struct Matches {
 /// `h` gives, which is in pixels of that level.
 pub(super) fn near(pair: &FramePair, h: &Matrix3<f64>) -> Matches {
     let level = measured_level(pair.reference());
-    let grid = Grid { level, step: STEPS.0, reach: COARSEST_REACH as usize, every: 2 };
+    let grid = Grid { level, step: STEPS.0, reach: COARSEST_REACH as usize, is_chessboard: true };
     Matches::none().finer(pair, h, grid, &[])
 }
 
@@ -92,7 +92,7 @@ pub(super) fn far(pair: &FramePair, h: &Matrix3<f64>) -> Matches {
     let mut found = Matches::none();
     for level in (measured..=coarsest).rev() {
         let starts = if level == coarsest { &RIM[..] } else { &[] };
-        let grid = Grid { level, step: STEPS.1, reach: reach(level).ceil() as usize + 1, every: 1 };
+        let grid = Grid { level, step: STEPS.1, reach: reach(level).ceil() as usize + 1, is_chessboard: false };
         found = found.finer(pair, &on_level(h, level - measured), grid, starts);
     }
     found
@@ -105,8 +105,8 @@ struct Grid {
     step: usize,
     /// Largest shift at which a patch is compared.
     reach: usize,
-    /// 1 if all patches are matched; 2 if only every second one is, as on a chessboard.
-    every: usize,
+    /// Whether every second patch is left out, as on a chessboard.
+    is_chessboard: bool,
 }
 
 impl Matches {
@@ -121,7 +121,7 @@ impl Matches {
 
     /// The matches of `grid`, searched from (0, 0), from those of the next coarser level, and from `starts`.
     fn finer(&self, pair: &FramePair, h: &Matrix3<f64>, grid: Grid, starts: &[Shift]) -> Self {
-        let Grid { level, step, reach, every } = grid;
+        let Grid { level, step, reach, is_chessboard } = grid;
         let both = pair.level(level);
         let (width, height) = (both.reference.width(), both.reference.height());
         let count = |length: usize| (length + step).saturating_sub(SIDE) / step;
@@ -132,7 +132,7 @@ impl Matches {
         let back = h.try_inverse().unwrap_or_else(Matrix3::identity);
         let find = |i: usize| {
             let (column, row) = (i % columns, i / columns);
-            if (column + row) % every != 0 {
+            if is_chessboard && (column + row) % 2 == 1 {
                 return None;
             }
             let pattern = Pattern::new(both, column * step, row * step, SIDE)?;

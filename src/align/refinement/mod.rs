@@ -67,8 +67,7 @@ pub fn refine(pair: &FramePair, start: &Transform, model: Model, levels: (usize,
             pieces.for_each(|(points, out)| vectorised(Residuals { points, h, frame: &whole.frame, out }));
         };
         let stage = Stage::new(pair, level, level == finest, points)?;
-        let (h, error_px) = stage.solve(state, model, residuals)?;
-        (state, last) = (h, Some(error_px));
+        (state, last) = stage.solve(state, model, residuals)?;
     }
     if finest < measured {
         let points = fine_level::points(pair);
@@ -77,8 +76,7 @@ pub fn refine(pair: &FramePair, start: &Transform, model: Model, levels: (usize,
         let stage = Stage::new(pair, finest_level(pair.reference()), true, points)?;
         let solved = stage.solve(state, model, residuals);
         pair.keep_patches(seen);
-        let (h, error_px) = solved?;
-        (state, last) = (h, Some(error_px));
+        (state, last) = solved?;
     }
     Some(Refined { transform: to_transform(&state, model, width, height), error_px: last? })
 }
@@ -103,19 +101,23 @@ impl Loops for Residuals<'_> {
     }
 }
 
-/// A level: its points, its size, and the step size below which the iteration ends.
+/// A level: its points, its size, and whether it is the last one.
 struct Stage<'a> {
     points: &'a [Point],
     level: usize,
     size: (usize, usize),
-    still: f64,
+    is_last: bool,
 }
 
 impl<'a> Stage<'a> {
     fn new(pair: &FramePair, level: usize, is_last: bool, points: &'a [Point]) -> Option<Self> {
         let plane = pair.reference().level(level);
-        let still = if is_last { STILL.0 } else { STILL.1 };
-        (points.len() >= LEAST_POINTS).then_some(Stage { points, level, size: (plane.width(), plane.height()), still })
+        (points.len() >= LEAST_POINTS).then_some(Stage {
+            points,
+            level,
+            size: (plane.width(), plane.height()),
+            is_last,
+        })
     }
 
     /// Iterates Gauss-Newton steps with Tukey's weights until all corners move by less than `still`; returns the
@@ -127,8 +129,9 @@ impl<'a> Stage<'a> {
         h_full: Matrix3<f64>,
         model: Model,
         mut residuals: impl FnMut(&Matrix3<f64>, &mut [f32]),
-    ) -> Option<(Matrix3<f64>, f64)> {
+    ) -> Option<(Matrix3<f64>, Option<f64>)> {
         let (width, height) = self.size;
+        let still = if self.is_last { STILL.0 } else { STILL.1 };
         let mut h = on_level(&h_full, self.level);
         let basis = Increment::new(model, width, height);
         let rows: Vec<[f64; 8]> = self.points.iter().map(|p| basis.row(p.x, p.y, p.gradient)).collect();
@@ -150,15 +153,19 @@ impl<'a> Stage<'a> {
                 return None;
             }
             found = Some((data, a));
-            if moved < self.still {
+            if moved < still {
                 break;
             }
+        }
+        let transform = off_level(&h, self.level);
+        if !self.is_last {
+            return Some((transform, None));
         }
         let (data, whole) = found?;
         let scores = Scores { points: self.points, rows: &rows, residuals: &left, weights: &weights, size: self.size };
         let covariance = scores.covariance(&data, &whole, NOISE_FACTOR)?;
         let error_px = (1u64 << self.level) as f64 * basis.expected_error(&covariance);
-        Some((off_level(&h, self.level), error_px))
+        Some((transform, Some(error_px)))
     }
 }
 

@@ -8,10 +8,11 @@
 
 use crate::align::refinement::frame_pair::Point;
 use crate::simd::{Loops, vectorised};
+use crate::statistics;
 use nalgebra::{DMatrix, DVector};
 
-/// Tukey's constant: 95 % efficiency for normal noise.
-const TUKEY: f32 = 4.685;
+/// [`statistics::TUKEY`] in single precision.
+const TUKEY: f32 = statistics::TUKEY as f32;
 
 /// Returns A and b for the first `n` parameters.
 ///
