@@ -56,7 +56,7 @@ static CHOSEN: AtomicU8 = AtomicU8::new(Arm::Native as u8);
 /// Selects `arm` for the whole process if this processor supports it; returns whether it does.
 ///
 /// The results do not depend on the arm. Only tests and benches need to choose one.
-#[must_use = "if it returns false, the processor does not support the code path, and none was selected"]
+#[must_use = "if it returns false, the processor does not support this code path, and the selection is unchanged"]
 pub fn choose(arm: Arm) -> bool {
     let is_supported = arm.arch().is_some();
     if is_supported {

@@ -107,7 +107,9 @@ impl Template {
             parts.push(Part::Text(rest.into()));
         }
         if Path::new(text).components().any(|c| !matches!(c, Component::Normal(_) | Component::CurDir)) {
-            return Err(refused(format!("{text:?} is outside of the folder for results; give a path inside it")));
+            return Err(refused(format!(
+                "{text:?} would write outside of the folder for results; give a name inside it"
+            )));
         }
         if text.is_empty() || text.ends_with('/') {
             return Err(refused(format!("{text:?} does not end with a name; append `{{first}}-{{last}}`")));
@@ -209,8 +211,8 @@ mod tests {
             ("{lens}", "{folder}"),
             ("{first", "brace"),
             ("first}", "brace"),
-            ("../{first}", "is outside"),
-            ("/tmp/{first}", "is outside"),
+            ("../{first}", "outside of"),
+            ("/tmp/{first}", "outside of"),
             ("{folder}/", "does not end with a name"),
             ("", "does not end with a name"),
         ] {

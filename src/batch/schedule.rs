@@ -299,9 +299,9 @@ impl<'a> Board<'a> {
     /// Returns the open jobs that need a job that failed, was not started, or does not exist, with their outcomes.
     fn with_failed_need(&self, open: &Open) -> Vec<(usize, Ending)> {
         let ending = |id: &String| match self.places.get(id.as_str()).map(|&i| &open.states[i]) {
-            None => Some(Ending::Failed(format!("it needs the job {id}, which is not in the plan"))),
+            None => Some(Ending::Failed(format!("it depends on the job {id}, which is not in the plan"))),
             Some(State::Ended(Ending::Failed(why))) => {
-                Some(Ending::Failed(format!("it needs {id}, which failed: {why}")))
+                Some(Ending::Failed(format!("it depends on the job {id}, which failed: {why}")))
             }
             Some(State::Ended(Ending::NotStarted)) => Some(Ending::NotStarted),
             _ => None,

@@ -13,7 +13,7 @@ impl Window<'_> {
     /// # Panics
     /// If the window has no such row, or the length of `out` is not the width of the frame.
     pub fn grey_row(&self, y: usize, stops: Option<u32>, out: &mut [u8]) {
-        assert_eq!(out.len(), self.width(), "`out` must be as long as the frame is wide");
+        assert_eq!(out.len(), self.width(), "`out` must have one element for each pixel in a row of the frame");
         let first = 3 * self.width() * (y - self.rows().start);
         let row = first..first + 3 * self.width();
         match self.codes() {

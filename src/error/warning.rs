@@ -57,7 +57,7 @@ pub enum Warning {
     },
     /// All frames together cover less than half of the reference.
     #[error(
-        "{}: overlaps {:.0} % of the reference, all frames together {:.0} %; exclude it with --leave-out, or keep the whole reference with --crop none",
+        "{}: covers only {:.0} % of the reference, and the part that all frames cover is only {:.0} %; exclude it with --leave-out, or keep the whole reference with --crop none",
         path.display(),
         100.0 * overlap,
         100.0 * common
@@ -107,7 +107,7 @@ pub enum Warning {
     #[error(
         "{}: the flash fired, unlike in the other frames; {}",
         path.display(),
-        if *is_used { "it is merged anyway, check the result" } else { "it is excluded; to use it all the same, give -e with the exposures of all frames, or name it with --reference or --unmoved" }
+        if *is_used { "it is merged anyway, check the result" } else { "it is excluded; to use it anyway, give -e with the exposures of all frames, or name it with --reference or --unmoved" }
     )]
     FlashFired {
         /// The frame.
@@ -164,8 +164,8 @@ pub enum Warning {
     },
     /// The camera tone-mapped the frames locally, so their values depend on more than the exposure.
     #[error(
-        "{}: locally processed by the camera, so merged with a local gain, and radiance is approximate; to merge the frames \
-         unchanged, give --response-model srgb",
+        "{}: locally processed by the camera (parts brightened or darkened); this was compensated for, but radiance is \
+         approximate; to merge the frames unchanged, give --response-model srgb",
         named(paths)
     )]
     LocallyProcessed {

@@ -231,7 +231,7 @@ fn plots(
     if let Some(fits) = &recovered.channels {
         let residuals = fits.map(|fit| format!("{:.3}", fit.residual_stops));
         notes += &format!(
-            " Dots: places of the scene, one dot for each frame. Distance of the dots from the curves of \
+            " Dots: sampled places of the scene; each place has one dot for each frame. Distance of the dots from the curves of \
              red, green and blue (root mean square): {} stops.",
             residuals.join(", ")
         );

@@ -261,7 +261,7 @@ mod tests {
         let gamma = |x: f64| libm::pow(x, 1.0 / 2.2);
         assert!(why(&scene(10, &[0.0, 2.0], gamma)).contains("evenly bright places"));
         assert!(why(&scene(600, &[0.0, 0.0], gamma)).contains("0.00 stops"));
-        assert!(why(&scene(600, &[-1.0, 0.0], |x| 0.3 + 0.1 * x)).contains("pixel values from"));
+        assert!(why(&scene(600, &[-1.0, 0.0], |x| 0.3 + 0.1 * x)).contains("the pixel values"));
         // Exposures 0.1 stops apart that are recorded as 2 nepers apart: EXIF is wrong.
         let mut lie = scene(600, &[0.0, 0.1], gamma);
         lie.iter_mut().for_each(|s| s.views[1].ln_time = 2.0);

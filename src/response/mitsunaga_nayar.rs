@@ -213,7 +213,7 @@ impl Pairs {
         let power = if refined { both / given } else { 1.0 };
         if !POWER.contains(&power) {
             return Err(format!(
-                "the exposure steps estimated from the pixels are {power:.2} times the given steps (in stops), which is outside of {} to {}",
+                "the exposure steps estimated from the pixels are {power:.2} times the given steps; a factor from {} to {} is accepted",
                 POWER.start(),
                 POWER.end()
             ));

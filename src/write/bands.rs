@@ -51,7 +51,7 @@ impl<P: Copy + Send + Sync, S: Default + Send> Bands<P, S> {
         let missing = (self.height - self.done) * self.width - self.rest.len();
         assert!(
             rows.len().is_multiple_of(self.width) && rows.len() <= missing,
-            "rows must be complete, and not more than the picture has"
+            "only complete rows can be written, and only as many as the picture has"
         );
         let last = rows.len() == missing;
         let mut filled = Vec::new();

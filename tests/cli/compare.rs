@@ -268,7 +268,7 @@ fn bless_copies_the_file_and_reports_it() {
     let folder = Folder::empty();
     put(&folder, "new.exr", scene(), &float());
     let run = folder.line("compare golden.exr new.exr --bless").done();
-    assert!(run.stderr.contains("golden.exr is new") && run.stdout == "golden.exr\n", "{run:?}");
+    assert!(run.stderr.contains("golden.exr did not exist") && run.stdout == "golden.exr\n", "{run:?}");
     assert_eq!(folder.bytes("golden.exr"), folder.bytes("new.exr"));
     let run = folder.line("compare golden.exr new.exr --bless").done();
     assert!(run.stderr.contains("already") && run.stdout.is_empty());

@@ -120,7 +120,7 @@ fn absolute_files_state_their_unit_and_other_formats_are_rejected() {
     .unwrap();
     let json: serde_json::Value = serde_json::from_slice(&folder.bytes("a.json")).unwrap();
     assert_eq!(json["radiance"]["unit_exposure_s"], 0.25);
-    let comment = "radiance 1.0 gives the middle pixel value (128 of 255) at an exposure t ISO / N^2 of 0.25 s";
+    let comment = "radiance 1.0 gives the middle pixel value (128 of 255) if the exposure (t ISO / N^2) is 0.25 s";
     let comments = hdralign::read::read(&files[0]).unwrap().1.comments.join("; ");
     assert!(comments.starts_with(comment), "{comments}");
     let has = |name: &str| folder.bytes(name).windows(comment.len()).any(|bytes| bytes == comment.as_bytes());

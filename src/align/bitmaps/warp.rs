@@ -127,7 +127,7 @@ impl ThresholdBitmaps {
         assert_eq!(
             (width, height),
             (onto.threshold.width(), onto.threshold.height()),
-            "`onto` must have the size of the warped bitmaps"
+            "the bitmaps `onto` must be as wide and as high as the warped bitmaps"
         );
         let places = PixelMap::new(motion, rounding, width, height);
         for y in 0..height {

@@ -39,7 +39,7 @@ fn failed_job_stops_only_jobs_that_need_it() {
             Ending::Failed(error) => error.clone(),
             other => panic!("{other:?}"),
         };
-        assert!(failed(0).contains("needs a, which failed") && failed(1).contains("IMG_1.JPG"), "{endings:?}");
+        assert!(failed(0).contains("depends on the job a, which failed") && failed(1).contains("IMG_1.JPG"), "{endings:?}");
         assert!(failed(2).contains("cannot be read") && failed(3).contains("not in the plan"), "{endings:?}");
         assert_eq!(ended.load(Ordering::SeqCst), 4);
         assert!(all.iter().all(|s| job::Failure::read(s).is_some_and(|f| f.id == s.id)));

@@ -135,7 +135,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
         let (blessed, warnings) = compare::bless(&args.expected, &args.actual, &args.reading.limits())?;
         warnings.iter().for_each(|warning| say(&format!("warning: {warning}")));
         say(&match blessed {
-            Blessed::Created => format!("accepted: {expected} is new, a copy of {actual}"),
+            Blessed::Created => format!("accepted: {expected} did not exist; it is now a copy of {actual}"),
             Blessed::Replaced => format!("accepted: {expected} is now a copy of {actual}"),
             Blessed::Unchanged => format!("accepted, nothing to do: {expected} already has the same bytes as {actual}"),
         });
@@ -215,7 +215,7 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
     for changed in &compared.metadata {
         let words = |text: &Option<String>| text.as_ref().map_or("none".into(), |t| one_line(t));
         let (expected, actual) = (words(&changed.expected), words(&changed.actual));
-        row("header", format!("{}: expected {expected}, actual {actual} (ignored)", changed.key));
+        row("header", format!("{}: expected {expected}, actual {actual} (this difference is ignored)", changed.key));
     }
     for warning in &compared.warnings {
         row("warning", warning.clone());

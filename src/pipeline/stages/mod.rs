@@ -266,7 +266,7 @@ impl<'a> Run<'a> {
 pub(super) fn metadata(frame: &Frame, photographed: Option<Photographed>, options: &Options) -> Metadata {
     let cd_m2_per_unit = options.calibration.is_asked().then_some(Factor::ONE);
     let unit = |exposure| {
-        format!("radiance 1.0 gives the middle pixel value (128 of 255) at an exposure t ISO / N^2 of {exposure} s")
+        format!("radiance 1.0 gives the middle pixel value (128 of 255) if the exposure (t ISO / N^2) is {exposure} s")
     };
     let photographed = photographed.map(|photographed| photographed.to_string());
     let comments = options.unit_exposure.map(unit).into_iter().chain(photographed).collect();

@@ -118,7 +118,7 @@ fn contradicted_response(
 /// recovered.
 fn remedy(is_local: bool) -> &'static str {
     match is_local {
-        true => "omit --response or --shared-response, so that the local processing is undone",
+        true => "omit --response or --shared-response, so that hdralign undoes the camera's local tone mapping",
         false => "recover the response of the photographs with `hdralign response`, or omit --response",
     }
 }

@@ -101,21 +101,21 @@ pub fn enough(samples: usize) -> Result<()> {
 pub fn check(samples: &[Sample]) -> Fitted<()> {
     if samples.len() < FEWEST {
         return Err(format!(
-            "only {} evenly bright places of the scene are unclipped in at least two frames, and {FEWEST} are needed",
+            "only {} evenly bright places of the scene are unclipped in at least two frames; at least {FEWEST} are needed",
             samples.len()
         ));
     }
     let (times, codes) = (span(samples, |v| v.ln_time), span(samples, |v| v.code));
     if times.1 - times.0 < STEP * LN_2 {
         return Err(format!(
-            "the exposures differ by only {:.2} stops, and {STEP} are needed",
+            "the exposures differ by only {:.2} stops; at least {STEP} stops are needed",
             stops(times.1 - times.0)
         ));
     }
     if codes.1 - codes.0 < SPAN {
         return Err(format!(
-            "the evenly bright places of the scene have only pixel values from {:.0} to {:.0}, \
-             and a range of {SPAN} is needed",
+            "the evenly bright places of the scene have only the pixel values {:.0} to {:.0}; \
+             the largest and the smallest must differ by at least {SPAN}",
             codes.0, codes.1
         ));
     }

@@ -39,8 +39,18 @@ impl Options {
     /// The settings by name.
     pub fn settings(&mut self) -> Vec<Setting<'_>> {
         vec![
-            Setting::number("contrast", (0.02, 1.0), &mut self.contrast, "factor on the response to each contrast"),
-            Setting::number("equalise", (0.0, 1.0), &mut self.equalise, "strength of the equalisation of responses"),
+            Setting::number(
+                "contrast",
+                (0.02, 1.0),
+                &mut self.contrast,
+                "factor on the perceived contrast: smaller values give a more even picture with stronger detail",
+            ),
+            Setting::number(
+                "equalise",
+                (0.0, 1.0),
+                &mut self.equalise,
+                "how far perceived contrasts are made equally frequent: 0 not at all, 1 completely",
+            ),
             Setting::range(&mut self.range_stops),
             Setting::brightness(&mut self.brightness),
             Setting::saturation(&mut self.saturation),

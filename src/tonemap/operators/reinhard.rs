@@ -35,8 +35,18 @@ impl Options {
     /// The settings by name.
     pub fn settings(&mut self) -> Vec<Setting<'_>> {
         vec![
-            Setting::estimated("key", (0.01, 2.0), &mut self.key, "display luminance of the log-average, 0 to 1"),
-            Setting::estimated("white", (0.1, 1e6), &mut self.white, "scaled luminance that maps to white"),
+            Setting::estimated(
+                "key",
+                (0.01, 2.0),
+                &mut self.key,
+                "brightness of the scene's average (geometric mean), 0 to 1, before highlights are compressed",
+            ),
+            Setting::estimated(
+                "white",
+                (0.1, 1e6),
+                &mut self.white,
+                "smallest luminance that becomes white, in units in which the average of the scene is key",
+            ),
             Setting::saturation(&mut self.saturation),
         ]
     }

@@ -90,7 +90,7 @@ impl Writer {
         let come = (self.radiance.len() + radiance.len(), self.shown.len() + shown.len());
         assert!(
             radiance.len().is_multiple_of(width) && shown.len().is_multiple_of(width) && come.0.max(come.1) <= missing,
-            "rows must be complete, and not more than the picture has"
+            "only complete rows can be written, and only as many as the picture has"
         );
         let both = come.0.min(come.1);
         let ready = if both == missing { both } else { both / (STRIP_ROWS * width) * (STRIP_ROWS * width) };

@@ -219,8 +219,8 @@ impl<'a> Renamed<'a> {
                 // Two targets may be the same file, as on a case-insensitive file system.
                 if let Some(other) = identity(target).and_then(|file| self.all.get(&file)) {
                     let reason = format!(
-                        "it is the same file as {}, another result (the names may differ only in upper and lower case, \
-                         or by a link); choose another name",
+                        "it is the same file as {}, another result (perhaps their names differ only in upper and lower \
+                         case, or one is a link to the other); choose another name",
                         other.display()
                     );
                     return Err(write_error(target, io::Error::new(io::ErrorKind::InvalidInput, reason)));
