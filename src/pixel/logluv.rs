@@ -123,13 +123,13 @@ impl Depth {
     }
 }
 
-/// Range of luminance of the 24-bit format; luminances below it are code 0, black.
+/// Range of luminance of the 24-bit format. Luminances below this range have code 0, black.
 const RANGE24: (f64, f64) = (0.0002468, 15.742);
 /// Range of luminance of the 32-bit format.
 const RANGE32: (f64, f64) = (5.436e-20, 1.8371976e19);
 
 /// Returns the code of a luminance: 0 below `range`, `largest` above it, and otherwise the number of steps from
-/// -`octaves` to its log2, with `steps` per octave.
+/// luminance 2^-`octaves` to this luminance, with `steps` per octave.
 fn logarithm(luminance: f64, range: (f64, f64), largest: u32, steps: f64, octaves: f64) -> u32 {
     match luminance {
         y if y >= range.1 => largest,

@@ -13,7 +13,8 @@ use crate::tonemap::resize::Resizer;
 use crate::write::{self, Codes, Files, Metadata, Output, Settled, Written};
 use std::time::{Duration, Instant};
 
-/// Number of rows passed to the writers at once: enough bands for all threads, and buffers that stay in the cache.
+/// Number of rows passed to the writers at once: enough to occupy all threads, and few enough for buffers that stay in
+/// the cache.
 const AT_ONCE: usize = 8 * BAND_ROWS;
 /// Number of rows that are resized at once; fewer than [`AT_ONCE`], because their values are floats.
 const RESIZED_ROWS: usize = 2 * BAND_ROWS;

@@ -15,7 +15,7 @@ use crate::error::{Error, Result};
 use crate::statistics::{self, MEDIAN_DEVIATION, median};
 use std::f64::consts::LN_2;
 
-/// Smallest rise of g per code: far below what matters, and enough to invert g.
+/// Smallest rise of g per code: far below the accuracy that matters, and enough to invert g.
 const RISE: f64 = 1e-5;
 /// Smallest number of samples from which the response of a channel is recovered.
 const FEWEST: usize = 24;
@@ -23,16 +23,17 @@ const FEWEST: usize = 24;
 const SPAN: f64 = 96.0;
 /// Smallest range of exposures, first to last, in stops.
 const STEP: f64 = 0.3;
-/// Largest condition of a least-squares problem; above it, the solution is noise: singular values below 1e-5 of the
-/// largest count as 0. Codes have errors of about 1e-3, which leave singular values of up to about 1e-5 of the largest,
-/// instead of 0, in directions that the codes do not determine. Brackets have about 1e2 to 1e4.
+/// Largest condition number of a least-squares problem. Above it, the solution is noise: singular values below 1e-5 of
+/// the largest count as 0. In directions that the codes do not determine, singular values should be 0. But codes have
+/// errors of about 1e-3, which leave singular values of up to about 1e-5 of the largest. The condition number of a
+/// bracket is about 1e2 to 1e4.
 const CONDITION: f64 = 1e5;
 /// Range of stops from code 16 to code 240 that a camera may have: the sRGB curve has 7.4, a linear one 3.9, a scan
 /// of print film 10.
 const CONTRAST: (f64, f64) = (1.5, 16.0);
-/// Any range of this many codes between 16 and 240 must span at least this many stops. With the smallest [`CONTRAST`],
-/// spread evenly, such a range spans 0.43. If samples contradict each other, the fitted curve falls, and making it
-/// monotone leaves it flat.
+/// Any range of this many codes between 16 and 240 must span at least this many stops. For comparison: with the
+/// smallest [`CONTRAST`], spread evenly over the codes, such a range spans 0.43 stops. If samples contradict each
+/// other, the fitted curve falls, and making it monotone leaves it flat.
 const FLAT: (usize, f64) = (64, 0.1);
 /// Largest root mean square residual of a valid model, in stops.
 pub(super) const RESIDUAL: f64 = 0.5;
@@ -195,8 +196,8 @@ pub fn biweight(samples: &[Sample], g: &[f64]) -> Vec<f64> {
     tukey(&misfits)
 }
 
-/// Returns Tukey's biweight of each misfit (0 or more), with a reach of 4.685 robust standard deviations: 1 for no
-/// misfit, 0 beyond.
+/// Returns Tukey's biweight of each misfit (0 or more), with a reach of 4.685 robust standard deviations. The biweight
+/// is 1 for a misfit of 0, and 0 beyond the reach.
 pub fn tukey(misfits: &[f64]) -> Vec<f64> {
     let median = median(misfits.iter().copied()).unwrap_or(0.0);
     let reach = 4.685 * median / MEDIAN_DEVIATION + f64::MIN_POSITIVE;
