@@ -30,9 +30,9 @@ pub(super) struct Decoded {
     pub height: usize,
     /// Interleaved RGB.
     pub samples: Samples,
-    /// Memory in bytes needed to decode it, including the file.
+    /// Memory in bytes needed to decode the file, including the bytes of the file.
     pub decoding: u64,
-    /// Its EXIF, if any.
+    /// EXIF of the file, if any.
     pub exif: Option<Exif>,
     /// The ICC profile of the file, or one made from the colour chunks of a PNG; not yet parsed.
     pub icc: Option<Vec<u8>>,
@@ -47,7 +47,7 @@ struct Stored {
     width: usize,
     height: usize,
     samples: Samples,
-    /// Memory in bytes needed to decode it, including the file.
+    /// Memory in bytes needed to decode the file, including the bytes of the file.
     decoding: u64,
     /// EXIF block from its TIFF header on; for a TIFF, the whole file.
     exif: Option<Vec<u8>>,
@@ -125,7 +125,7 @@ pub(super) struct Head {
     pub height: usize,
     /// Bits per sample; fewer than 8 count as 8.
     pub depth: u8,
-    /// Its EXIF, if any.
+    /// EXIF of the file, if any.
     pub exif: Option<Exif>,
     /// The program that wrote the file, where it is named outside of EXIF.
     pub software: Option<String>,

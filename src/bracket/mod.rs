@@ -115,9 +115,9 @@ pub struct Frame {
     store: Store,
     /// Number of sampled pixels that are well exposed: see [`reference::well_exposed`].
     well_exposed: u64,
-    /// Its exposure.
+    /// Exposure of the frame.
     pub exposure: Exposure,
-    /// Its colour profile; sRGB is assumed where there is none.
+    /// Colour profile of the frame; sRGB is assumed where there is none.
     pub profile: Option<Profile>,
     /// Other capture data.
     pub capture: Capture,
@@ -153,7 +153,7 @@ impl Frame {
         }
     }
 
-    /// Path of the file it was read from.
+    /// Path of the file that the frame was read from.
     pub fn path(&self) -> &Path {
         &self.path
     }

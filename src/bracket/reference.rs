@@ -61,7 +61,7 @@ pub(super) fn paths(frames: &[Frame]) -> Vec<&Path> {
 }
 
 /// Returns the index of the best-exposed frame: see [`ReferenceChoice::Auto`]. Frames must be sorted by rising
-/// exposure. Excluded frames and those in `except` are not chosen unless there is no other.
+/// exposure. Excluded frames and those in `except` are chosen only if no other frame is left.
 pub(super) fn best(frames: &[Frame], except: &[PathBuf]) -> usize {
     let paths = paths(frames);
     let mut excluded: Vec<usize> = except.iter().filter_map(|path| named(&paths, path)).collect();

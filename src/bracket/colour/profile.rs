@@ -15,7 +15,7 @@ const PCS_WHITE: Vector3<f64> = Vector3::new(0.9642, 1.0, 0.8249);
 pub struct Profile {
     /// The profile's bytes.
     pub icc: Vec<u8>,
-    /// Its own description, such as `sRGB IEC61966-2.1`.
+    /// Description that the profile contains, such as `sRGB IEC61966-2.1`.
     pub description: String,
     /// Primaries of the profile. If they are within rounding of a [standard set](Primaries::nearest_standard), they are
     /// replaced by that set. `None` where the profile uses tables or is inconsistent.

@@ -119,7 +119,7 @@ impl Layout {
         Ok(())
     }
 
-    /// Returns the largest sampling factor of any component, along the `axis` across (0) or down (1).
+    /// Returns the largest sampling factor of any component along `axis`: 0 is across, 1 is down.
     fn finest(&self, axis: usize) -> u8 {
         self.sampling.iter().map(|own| own[axis]).max().unwrap_or(1)
     }

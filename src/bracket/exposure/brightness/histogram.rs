@@ -1,7 +1,7 @@
 //! Histograms of frames, and matches between the pixel values of two frames.
 //!
 //! In: pixel values. Out: pairs of pixel values of equal radiance. Cost: one pass over a quarter of the pixels, then
-//! 256-entry tables.
+//! operations on 256-entry tables.
 
 use super::curve::{Match, Pair};
 use crate::bracket::Samples;
