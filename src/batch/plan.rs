@@ -258,7 +258,7 @@ pub fn plan(brackets: &[Planned], settings: &Settings) -> Result<Vec<Job>> {
     Ok(all)
 }
 
-/// Returns the jobs that recover one response for each camera. Their key is the camera.
+/// Returns for each camera the job that recovers its response from all its brackets.
 fn responses(
     brackets: &[Planned],
     settings: &Settings,

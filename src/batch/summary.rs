@@ -32,7 +32,7 @@ pub enum Status {
 }
 
 impl Status {
-    /// Returns the name of the status in the CSV.
+    /// Returns the name of the status, as in the JSON and CSV files.
     pub fn name(self) -> &'static str {
         match self {
             Status::Done => "done",
