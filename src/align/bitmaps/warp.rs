@@ -91,8 +91,8 @@ impl PixelMap {
         Block(self.origin.0 + y * self.down.0 + half_x, self.origin.1 + y * self.down.1 + half_y)
     }
 
-    /// Finds a run of pixels from `x`, up to `end` at most, that map to adjacent pixels of one row of the frame. Returns
-    /// the end of the run, and the column and row to which pixel `x` maps.
+    /// Finds a run of pixels from `x`, up to `end` at most, that map to adjacent pixels of one row of the frame.
+    /// Returns the end of the run, and the column and row to which pixel `x` maps.
     #[inline]
     fn piece(&self, block: &Block, x: i64, end: i64) -> (i64, i64, i64) {
         let column = |x: i64| (block.0 + x * self.cos) >> 32;
@@ -229,8 +229,8 @@ mod tests {
             let sum = all.iter().fold((0, 0), |s, p| (s.0 + p.0, s.1 + p.1));
             [sum.0 as f64 / all.len() as f64, sum.1 as f64 / all.len() as f64]
         };
-        // Among n consecutive elements of such a sequence, the share of any value differs from that of an even distribution
-        // by a few times ln n / n.
+        // Among n consecutive elements of such a sequence, the share of any value differs from that of an even
+        // distribution by a few times ln n / n.
         for (words, rows, most) in
             [(0..36, 0..1700, 0.002), (5..6, 0..1700, 0.01), (0..36, 700..702, 0.06), (8..16, 300..310, 0.06)]
         {
