@@ -3,9 +3,9 @@
 //! In: a [`Job`] and its options. Out: the result files, and a [`Brief`] (an extract) of the report. Cost: that of
 //! `pipeline::prepare`, and of reading inputs and outputs once for their hashes.
 //!
-//! Any process may start a job again at any time: complete results are kept, and an interrupted job is run again. A
-//! job replaces only its own earlier results. If two processes run the same job at the same time, the result is the
-//! same as from one process.
+//! Any process may start a job again at any time: complete results are kept, and an interrupted job is run again.
+//! Without `--force`, a job replaces only its own earlier results. If two processes run the same job at the same
+//! time, the result is the same as from one process.
 
 use super::plan::{Job, Kind};
 use super::record::{self, Content, Record};

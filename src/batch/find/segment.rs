@@ -267,8 +267,7 @@ fn of_order(evs: &[f64]) -> f64 {
     let turns = signs.windows(2).filter(|w| w[0] != w[1]).count();
     let rank = |ev: f64| evs.iter().filter(|&&other| other < ev).count();
     let is_from_the_middle = rank(evs[0]) == (evs.len() - 1) / 2 || rank(evs[0]) == evs.len() / 2;
-    // The frames after the first are in order from one end to the other; an example of the whole order is 0 -2 -1 1
-    // 2.
+    // The frames after the first are in order from one end to the other, as in 0, -2, -1, 1, 2.
     let is_one_way = |evs: &[f64]| {
         evs.windows(2).all(|w| w[1] > w[0] + SAME_STOPS) || evs.windows(2).all(|w| w[1] < w[0] - SAME_STOPS)
     };
