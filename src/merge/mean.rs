@@ -18,9 +18,9 @@ const DECIDE: f32 = 1.0 / 127.5;
 const LEAST: f32 = 1e-6;
 
 /// Two code values of a frame's brightest channel. Up to the first, the frame is never treated as clipped. From the
-/// second on, it is clipped if a shorter frame shows more radiance than it can hold. JPEG lowers a clipped channel by
-/// some code values, and one channel of a saturated colour by many, but never all three by many. So if the brightest
-/// channel is far below white, the frame is not clipped but shows another object, which moved.
+/// second on, it is clipped if a shorter frame shows more radiance than this frame can hold. JPEG lowers a clipped
+/// channel by some code values, and one channel of a saturated colour by many, but never all three by many. So if the
+/// brightest channel is far below white, the frame is not clipped but shows another object, which moved.
 const MAY_CLIP: (f32, f32) = (205.0, 235.0);
 
 /// A value for each channel and pixel of a row.
