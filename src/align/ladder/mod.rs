@@ -50,7 +50,7 @@ pub(crate) struct Search<'a> {
     pub(crate) pyramids: &'a [GreyPyramid],
     /// Computes the full-size grey picture of a frame.
     pub(crate) grey: &'a (dyn Fn(usize) -> Plane<u8> + Sync),
-    /// The content of each frame.
+    /// Brightness and detail of each frame.
     pub(crate) contents: &'a [Content],
     /// The capture time of each frame: in seconds, or its position in the order of capture.
     pub(crate) capture_times: &'a [f64],
@@ -204,7 +204,7 @@ impl Search<'_> {
         Some((Transform::Homography(found.homography), found.inliers.len()))
     }
 
-    /// The candidate `transform` of frame `i`, checked by tiles.
+    /// Checks `transform` by tiles, as a candidate for frame `i`.
     pub(crate) fn evaluate(&self, i: usize, transform: Transform) -> Candidate {
         evaluate(&FramePair::new(self.reference_pyramid(), &self.pyramids[i], &transform), transform, 0.0)
     }

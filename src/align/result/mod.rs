@@ -28,9 +28,9 @@ pub struct KeypointCounts {
 /// Numbers of keypoints and inliers of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct FeatureCounts {
-    /// Inliers of the robust estimator; none where features were not needed.
+    /// Number of inliers of the robust estimator; none if features were not needed.
     pub inliers: Option<usize>,
-    /// Keypoints in this frame; none where features were not needed.
+    /// Numbers of keypoints in this frame; none if features were not needed.
     pub keypoints: Option<KeypointCounts>,
 }
 

@@ -21,8 +21,8 @@ pub enum Model {
 }
 
 impl Model {
-    /// Returns the smallest model that contains `transform` as it is stored; the matrix of a homography is not
-    /// examined.
+    /// Returns the smallest model for the variant of `transform`. A [`Transform::Homography`] always has the model
+    /// [`Model::Homography`], even if its matrix is a shift.
     pub fn of(transform: &Transform) -> Self {
         match *transform {
             Transform::Identity => Model::Unmoved,
