@@ -89,11 +89,13 @@ pub struct XorCurves {
     pub before: f64,
     /// The share of the compared pixels that differ at the estimated motion, 0..=1.
     pub after: f64,
-    /// The share as a function of the rotation; the shift is the estimated one.
+    /// The share of differing pixels as a function of the rotation; the shift is the estimated one.
     pub by_angle: Curve,
-    /// The share as a function of the shift to the right; the rotation and the shift downwards are the estimated ones.
+    /// The share of differing pixels as a function of the shift to the right; the rotation and the shift downwards are
+    /// the estimated ones.
     pub by_dx: Curve,
-    /// The share as a function of the shift downwards; the rotation and the shift to the right are the estimated ones.
+    /// The share of differing pixels as a function of the shift downwards; the rotation and the shift to the right are
+    /// the estimated ones.
     pub by_dy: Curve,
 }
 
@@ -157,7 +159,7 @@ fn angles(found: f64, most: f64) -> Vec<f64> {
     all
 }
 
-/// Which keypoints are matched.
+/// The kind of the keypoints that are matched.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FeatureKind {
     /// Keypoints of the grey picture.

@@ -99,7 +99,7 @@ pub struct AlignOptions {
     pub ratio: f64,
     /// Transforms that are preset instead of estimated; if a frame has several, the first is used.
     pub given: Vec<Preset>,
-    /// The robust estimator.
+    /// The robust estimator that separates inliers from wrong matches.
     pub robust: RobustMethod,
     /// Options of the robust estimator; the threshold is in pixels of the pyramid level on which features are detected.
     pub ransac: RansacOptions,

@@ -86,7 +86,7 @@ struct ReferenceFeatures {
 }
 
 impl Search<'_> {
-    /// Aligns by bitmaps alone: a shift and a rotation.
+    /// Aligns each frame by bitmaps alone; each transform is a shift and a rotation.
     pub(crate) fn by_bitmaps_alone(&self) -> AllFound {
         self.each(|i| {
             let found = bitmaps::search(self.reference_pyramid(), &self.pyramids[i], 0, &self.options.mtb);
@@ -97,7 +97,7 @@ impl Search<'_> {
         })
     }
 
-    /// Aligns by features alone: a homography.
+    /// Aligns each frame by features alone; each transform is a homography.
     pub(crate) fn by_features_alone(&self) -> AllFound {
         let sets = map_at_once(self.pyramids.len(), self.detected_at_once, |i| self.features(i));
         let (placements, mut counts) = self.each(|i| {

@@ -22,7 +22,7 @@ pub(super) struct Cell {
     pub(super) displacement: [f64; 2],
     /// Inverse covariance of the displacement, [xx, xy, yy].
     pub(super) precision: [f64; 3],
-    /// Whether most of the matches around it agree with each other.
+    /// Whether at least half of the matches around the cell agree with each other.
     pub(super) agrees: bool,
 }
 
@@ -45,7 +45,8 @@ pub(super) fn precision(sum: [f64; 3], count: f64, v: f64) -> [f64; 3] {
     let tones = k * TONE_SLOPE * TONE_SLOPE + 1e-12;
     let (a, c) = (xx + tones, yy + tones);
     let scale = k / (a * c - xy * xy);
-    // (p, q) and (r, s) are the rows of S (S + k t^2 I)^-1 without its denominator; the result is this matrix times S.
+    // (p, q) and (r, s) are the rows of the matrix S (S + k t^2 I)^-1, multiplied by the determinant of S + k t^2 I.
+    // The result is this matrix times S.
     let (p, q) = (xx * c - xy * xy, xy * a - xx * xy);
     let (r, s) = (xy * c - yy * xy, yy * a - xy * xy);
     [scale * (p * xx + q * xy), scale * (p * xy + q * yy), scale * (r * xy + s * yy)]

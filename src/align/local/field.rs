@@ -66,7 +66,7 @@ const FAR: Neighbourhood = Neighbourhood { radius: 2, overlap: 4.0 };
 /// The displacements of the cells of a picture from the positions that a transform gives.
 #[derive(Debug, Clone)]
 pub(crate) struct LocalField {
-    /// The transform, in pixels of the level.
+    /// The transform from which the displacements are measured, in pixels of the level.
     h: Matrix3<f64>,
     /// The level on which the displacements were measured, and its size.
     level: usize,
@@ -82,7 +82,7 @@ pub(crate) struct LocalField {
 /// How much of a picture a transform does not fit. All lengths are in pixels of the full size.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct Misfit {
-    /// The parts that are displaced by at least [`DISPLACED_PX`].
+    /// The parts of the picture that are displaced by at least [`DISPLACED_PX`].
     pub(crate) displaced: Displaced,
     /// The share of the picture that is displaced, minus the standard error of this share, 0..=1. The standard error is
     /// large if few cells are known, as in a dark frame.

@@ -28,8 +28,9 @@ impl IntensityMap {
             reference[usize::from(r)] += 1;
             frame[usize::from(f)] += 1;
         }
-        // The rank of a sample is its position in ascending order. Each value that occurs in the first frame is mapped
-        // to the second frame's value at the middle of the ranks of its samples.
+        // The samples of each frame are sorted; the rank of a sample is its position in this order. A value of the
+        // first frame is mapped to the value of the second frame at the same rank. If several samples have the value,
+        // the middle of their ranks is used.
         let mut values = vec![f32::NAN; KNOTS];
         let (mut rank, mut below, mut at) = (0.0f64, 0.0f64, 0);
         for (v, value) in values.iter_mut().enumerate() {

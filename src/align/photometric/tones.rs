@@ -32,8 +32,8 @@ impl ToneTables {
     /// tables follow from histograms.
     pub fn between(reference: &Plane<u8>, frame: &Plane<u8>, h: &Matrix3<f64>) -> Self {
         let mut samples = sample(reference, frame, h);
-        // The brighter frame is the one with the larger mean of the samples. A comparison of the tables would also
-        // count grey values that do not occur.
+        // The brighter frame is the one whose samples have the larger mean. (A comparison of the two tables instead
+        // would also count grey values that do not occur in the frames.)
         let is_frame_brighter = samples.iter().map(|&(r, f)| i64::from(f) - i64::from(r)).sum::<i64>() >= 0;
         if !is_frame_brighter {
             samples.iter_mut().for_each(|(r, f)| std::mem::swap(r, f));

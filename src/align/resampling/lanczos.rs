@@ -37,7 +37,7 @@ pub(crate) static WEIGHTS: LazyLock<Vec<[f32; TAPS]>> = LazyLock::new(|| {
     (0..=PHASES as u32).map(weights).collect()
 });
 
-/// sinc(x) sinc(x / 3) for |x| < 3, otherwise 0.
+/// The Lanczos kernel: sinc(x) sinc(x / 3) for |x| < 3, otherwise 0, where sinc(x) = sin(pi x) / (pi x).
 pub(crate) fn lanczos3(x: f64) -> f64 {
     if x == 0.0 {
         1.0
