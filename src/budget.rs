@@ -10,8 +10,8 @@
 //! MemoryLimit::PROGRAM + held + threads * thread()
 //! ```
 //!
-//! where `held` is the largest memory of any stage, because each stage frees its memory before the next one begins,
-//! and `thread()` is the memory of the buffers of one thread:
+//! where `thread()` is the memory of the buffers of one thread. `held` is the largest memory of any stage, because each
+//! stage frees its memory before the next one begins:
 //!
 //! | stage | frames in memory | frames on disk |
 //! |---|---|---|

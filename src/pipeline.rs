@@ -280,7 +280,7 @@ fn on_files<R: Send>(
     })
 }
 
-/// Runs the stages after loading.
+/// Runs all stages after loading.
 fn merge_loaded(
     mut run: Run,
     bracket: Bracket,

@@ -274,8 +274,7 @@ mod tests {
                             weight += g(dx) * g(dy);
                         }
                     }
-                    // The tolerance is one rounding for each of 2 x 17 weights (two passes) of f32 values below 32: 34
-                    // * 32 * 2^-24 = 6.5e-5.
+                    // Two passes of 17 weights round f32 values below 32 at most 34 times: 34 * 32 * 2^-24 = 6.5e-5.
                     assert!((f64::from(fast.at(x as usize, y as usize)) - sum / weight).abs() < 6.5e-5);
                 }
             }
@@ -301,8 +300,7 @@ mod tests {
                         sum += wx * wy / 256.0 * f64::from(table[usize::from(plane.at(u as usize, v as usize))]);
                     }
                 }
-                // The tolerance covers one rounding for each of 2 x 5 weights (two passes) of f32 values below 256: 10
-                // * 256 * 2^-24 = 1.5e-4.
+                // Two passes of 5 weights round f32 values below 256 about ten times: 10 * 256 * 2^-24 = 1.5e-4.
                 assert!((f64::from(fast.at(x as usize, y as usize)) - sum).abs() < 2e-4);
             }
         }

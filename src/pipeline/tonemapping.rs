@@ -50,7 +50,6 @@ impl TonemapOptions {
 /// Tone-maps the radiance map `input` and writes the requested files. If `merge` wrote the map as floats, the picture
 /// has the same pixels as the picture that `merge` wrote beside the map. Its EXIF data contain only what the header of
 /// the map contains.
-/// contains.
 ///
 /// # Errors
 /// Those of [`read::read_within`] and of writing; [`Error::Option`] if the allowed memory is not enough. On an error

@@ -1,4 +1,4 @@
-//! Half floats (16 bits); values beyond the largest are clamped to it instead of becoming infinite.
+//! Half floats (16 bits); values beyond the largest half float are clamped to it instead of becoming infinite.
 //!
 //! In: pixels. Out: planes of the nearest half floats, or of the low and high words of the floats. Cost: under 1 ns a
 //! value. Source: IEEE 754-2008, sections 3.6 and 4.3.1. The `half` crate rounds in the same way, but turns values

@@ -2,10 +2,10 @@
 //! coding of 32-bit pixels.
 //!
 //! In: XYZ with grey at X = Y = Z, or the bytes of a row. Out: the other of the two. Cost: 40 ns a pixel for the
-//! logarithm; decoding by table. Source: G. Ward Larson, "The LogLuv Encoding for Full Gamut, High Dynamic Range
-//! Images", JGT 3(1), 1998; libtiff's `tif_luv.c` and `uvcode.h` for details that the paper leaves open: truncation,
-//! byte order, and the squares of the 24-bit index. Unlike in libtiff nothing is dithered, so that the bytes are
-//! reproducible.
+//! logarithm of the encoder; the decoder computes a power of 2 instead. Source: G. Ward Larson, "The LogLuv Encoding
+//! for Full Gamut, High Dynamic Range Images", JGT 3(1), 1998; libtiff's `tif_luv.c` and `uvcode.h` for details that
+//! the paper leaves open: truncation, byte order, and the squares of the 24-bit index. Unlike in libtiff nothing is
+//! dithered, so that the bytes are reproducible.
 
 use std::sync::LazyLock;
 

@@ -41,8 +41,8 @@ pub(crate) fn encode(rgb: [f32; 3]) -> (Rgbe, u32) {
     ([mantissa(r), mantissa(g), mantissa(b), exponent], over[0] + over[1] + over[2])
 }
 
-/// Decodes a pixel to the centre of the interval that [`encode`] truncates to it: (mantissa + 1/2) 2^(exponent - 128 -
-/// 8); 0 for exponent 0.
+/// Decodes a pixel to the centre of the interval that [`encode`] truncates to this pixel: (mantissa + 1/2) 2^(exponent
+/// byte - 136); 0 for exponent byte 0.
 pub(crate) fn decode([r, g, b, e]: Rgbe) -> [f32; 3] {
     if e == 0 {
         return [0.0; 3];
@@ -62,7 +62,7 @@ pub(crate) const RLE_WIDTHS: std::ops::RangeInclusive<usize> = 8..=32767;
 /// Minimum number of equal bytes that are encoded as a run.
 const MIN_RUN: usize = 4;
 
-/// Encodes scanlines; holds the buffers.
+/// Encodes scanlines, and keeps the buffers for the next scanline.
 #[derive(Debug, Default)]
 pub(crate) struct Scanline {
     /// The bytes of a scanline by component: all of red, then of green, of blue, and the exponents.
@@ -167,8 +167,8 @@ fn next_run(begins: &[u8], at: usize) -> Option<usize> {
     }
 }
 
-/// Encodes one component as `fwritecolrs` does: runs of n = 4 to 127 equal bytes as (128 + n, byte), the rest as (n, n
-/// bytes) with n up to 128.
+/// Encodes one component as `fwritecolrs` does: a run of n = 4 to 127 equal bytes as the count 128 + n and the byte,
+/// and n = 1 to 128 other bytes as the count n and the bytes.
 fn put_runs(bytes: &[u8], begins: &mut Vec<u8>, out: &mut Vec<u8>) {
     let len = bytes.len();
     begins.resize(len.saturating_sub(MIN_RUN - 1), 0);

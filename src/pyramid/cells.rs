@@ -101,7 +101,8 @@ mod tests {
     fn rows_between_cells_are_bilinear_and_scaled() {
         let map = Plane::from_vec(2, 2, vec![0u8, 8, 16, 40]);
         let mut row = [0.0f32; 4];
-        // Cells of 2 pixels: row 1 is at 1/4, pixels 1 and 2 are at 1/4 and 3/4.
+        // Cells are 2 pixels long. Between the centres of two cells, row 1 is at 1/4, and pixels 1 and 2 of the row are
+        // at 1/4 and 3/4.
         row_between_cells(&map, 2, |v| 0.5 * f32::from(v), 1, &mut row);
         let (left, right) = (0.5 * 4.0, 0.5 * 16.0);
         assert_eq!(row, [left, left + 0.25 * (right - left), left + 0.75 * (right - left), right]);

@@ -10,11 +10,12 @@
 //! O = sum_ij { w(Z_ij) [g(Z_ij) - ln E_i - ln dt_j] }^2 + lambda sum_z [ w(z) g''(z) ]^2
 //! ```
 //!
-//! over g and all ln E_i, by a singular value decomposition of a matrix with a column for each unknown. Here each ln
-//! E_i is eliminated first, because it is only in the rows of its own place: a Householder reflection replaces these
-//! rows by one row fewer, without ln E_i. The singular value decomposition is applied to the remaining equations, in g
-//! only. So thousands of places need no more columns than dozens. Normal equations would also need few columns, but
-//! would square the condition number. Five things differ from the paper:
+//! over g and all ln E_i, by a singular value decomposition of a matrix with a column for each unknown. Z_ij is the
+//! code of place i in frame j, E_i the radiance of place i, dt_j the exposure of frame j, and w the weight of a code.
+//! Here each ln E_i is eliminated first, because it is only in the rows of its own place: a Householder reflection
+//! replaces these rows by one row fewer, without ln E_i. The singular value decomposition is applied to the remaining
+//! equations, in g only. So thousands of places need no more columns than dozens. Normal equations would also need few
+//! columns, but would square the condition number. Five things differ from the paper:
 //!
 //! - Z_ij is the mean of a patch and lies between two codes; g is interpolated linearly between them.
 //! - The first sum is divided by the sum of its w^2, so that lambda has the same meaning for any number of samples and
@@ -40,8 +41,8 @@ pub struct Options {
     pub samples: usize,
     /// The weight lambda of smoothness relative to the mean square error of the samples; positive. The default of 30
     /// was compared with a weight of 100 on 130 rendered brackets: the error is the same in the middle of the code
-    /// range, and two thirds at the ends. With a weight of 10, the curve follows noise and waves. So it does with
-    /// weights derived from the residual of each bracket.
+    /// range, and two thirds as large at the ends. With a weight of 10, the curve follows noise and waves. It also does
+    /// so with weights derived from the residual of each bracket.
     pub smoothness: f64,
     /// Number of rounds in which contradicting samples lose their weight; 0 for plain least squares.
     pub rounds: usize,

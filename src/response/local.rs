@@ -9,12 +9,12 @@
 //! Phones brighten dark neighbourhoods and darken bright ones, differently in every frame. This has two effects:
 //!
 //! 1. A stop more of exposure brightens a frame by less than a stop. A camera response may have the same effect, but
-//! within bounds. The bounds were measured by converting code values to exposures with the sRGB curve. Between frames
-//! rendered with the 100 measured curves of DoRF (Grossberg & Nayar 2004), the exposure steps found were 0.8 to 2.2
-//! times the true steps (median over a picture). In 14 photographed brackets of six cameras, they were 1.0 to 1.7
-//! times the true steps.
+//!    within bounds. The bounds were measured by converting code values to exposures with the sRGB curve. Between
+//!    frames rendered with the 100 measured curves of DoRF (Grossberg & Nayar 2004), the exposure steps found were 0.8
+//!    to 2.2 times the true steps (median over a picture). In 14 photographed brackets of six cameras, they were 1.0
+//!    to 1.7 times the true steps.
 //! 2. Places with equal codes in the shorter frame differ in the longer frame, depending on their position in the
-//! picture. Noise has this effect too, but is independent between neighbours; motion has it only in few places.
+//!    picture. Noise has this effect too, but is independent between neighbours; motion has it only in few places.
 
 use super::ResponseCurve;
 use super::samples::{Places, Step};
@@ -36,7 +36,7 @@ const NEIGHBOURHOODS: usize = 24;
 const REACH: f64 = 4.685;
 /// Frames count as locally processed if their variation over the picture, in stops, exceeds LOCAL * f^POWER, where f
 /// is the fraction of the nominal exposure step that is found in the pixels. The limit is measured. Without local
-/// processing, variation / f^5 was at most 0.023 on 301 rendered brackets (truth.py), and at most 0.032 on 15
+/// processing, variation / f^POWER was at most 0.023 on 301 rendered brackets (truth.py), and at most 0.032 on 15
 /// photographed brackets, some with motion, mist, film or flash; it was 0.056 on a bracket of water. It was 0.061 or
 /// more on 49 of 52 brackets of phones. The other three had 0.004 to 0.022; their curves are at least 1.5 times as
 /// steep as sRGB's. Because of the power, frames with the full exposure step must vary by more than any camera

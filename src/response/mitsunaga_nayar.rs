@@ -40,7 +40,7 @@ type Terms = [f64; 11];
 /// A higher degree is used if it reduces the error to less than this fraction of the error with the lower degree.
 const BETTER: f64 = 0.98;
 /// Smallest slope of ln f per code that a response has, from code 10 to 245: a tenth of sRGB's smallest. A polynomial
-/// with a smaller slope follows what equal exposure steps do not determine, and not the camera.
+/// with a smaller slope has waves that equal exposure steps do not determine, and that a camera does not have.
 const RISE: f64 = 1e-3;
 /// Estimated ratios are used only if they reduce the error to less than this fraction. A smaller reduction does not
 /// count, because f and R can drift together and still fit as well as before.

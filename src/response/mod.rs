@@ -37,9 +37,9 @@ pub const CODES: usize = 256;
 /// The code whose exposure is 1, so that g is 0 there.
 pub const MID: usize = 128;
 
-/// Exposure of code 0 relative to code 1. Rounding gives code 0 to all exposures below half of that of code 1; their
-/// mean is a quarter. No sample determines the exposure of code 0, and a smaller ratio would turn values that are only
-/// rounded down into dark specks.
+/// Exposure of code 0 divided by that of code 1. Rounding gives code 0 to all exposures below half of the exposure of
+/// code 1, and the mean of these exposures is a quarter of it. No sample determines the exposure of code 0, and a
+/// smaller ratio would turn values that are only rounded down into dark specks.
 const BLACK: f64 = 1.0 / 4.0;
 
 /// The curves of the three channels are made parallel below the first and above the second of these codes.
@@ -372,10 +372,10 @@ fn pooled(ratios: &[&Ratio]) -> Vec<RatioReport> {
     sums.into_iter().map(report).collect()
 }
 
-/// Returns the curves `g`, with slopes that are common to all channels at both ends of the code range and, in each
-/// channel, outside the range `codes` of its samples. The common slope at a code is the median of the channels that
-/// have samples there. Few samples are at the ends, and if the channels differed there, black and white would get a
-/// colour.
+/// Returns the curves `g` with new slopes where few samples determine the slope: at both ends of the code range and, in
+/// each channel, outside the range `codes` of its samples. The new slope at a code is common to all channels: it is the
+/// median slope of the channels that have samples there. If the channels differed at the ends, black and white would
+/// get a colour.
 fn with_common_ends(g: [[f64; CODES]; 3], codes: [(f64, f64); 3]) -> [[f64; CODES]; 3] {
     let step = |z: usize| {
         let saw = |c: usize| codes[c].0 <= z as f64 && (z + 1) as f64 <= codes[c].1;

@@ -9,11 +9,12 @@
 //! minimise  sum_ij w(Z_ij)^2 [g(Z_ij) - ln E_i - ln dt_j - d_j]^2  +  lambda sum |g''|^2  +  sum_j d_j^2 / sigma^2
 //! ```
 //!
-//! over g, all ln E_i and the corrections d_j together, because each alone would absorb the errors of the others. g is
-//! the sRGB curve plus a cubic spline for each channel. Two things cannot be determined from pixels and are kept as
-//! recorded: a factor common to all exposures, and a common power of all ratios, which is the contrast of g (Grossberg
-//! & Nayar 2003). Therefore d is orthogonal to both, and brackets of only two different exposures are never corrected.
-//! Places that contradict the others (motion) lose their weight by Tukey's biweight. If all corrections are within the
+//! over g, all ln E_i and the corrections d_j together, because each alone would absorb the errors of the others. Z_ij
+//! is the code of place i at exposure dt_j, and sigma the standard deviation of the recorded exposures. g is the sRGB
+//! curve plus a cubic spline for each channel. Two things cannot be determined from pixels and are kept as recorded: a
+//! factor common to all exposures, and a common power of all ratios, which is the contrast of g (Grossberg & Nayar
+//! 2003). Therefore d is orthogonal to both, and brackets of only two different exposures are never corrected. Places
+//! that contradict the others (motion) lose their weight by Tukey's biweight. If all corrections are within the
 //! uncertainty of the fit, none is applied, so that exact exposures are not changed.
 
 use super::fit::tukey;

@@ -3,18 +3,19 @@
 //! In: the [`Sample`]s of a channel. Out: g(Z) = ln I(Z), or the reason why it cannot be recovered. Cost: about a
 //! hundred sweeps over the samples, each about 0.1 ms for 2000. Source: Robertson, Borman & Stevenson 2003,
 //! "Estimation-theoretic approach to dynamic range enhancement using multiple exposures", section IV: the exposures
-//! I_m of all codes and the irradiances x_j of all places minimise
+//! I_m of all codes m and the irradiances x_j of all places j minimise
 //!
 //! ```text
 //! O = sum_ij w_ij (I(y_ij) - t_i x_j)^2
 //! ```
 //!
-//! by Gauss-Seidel iteration: the x_j for the current I_m, x_j = sum_i w t_i I / sum_i w t_i^2; then the I_m for these
-//! x_j, the mean of t_i x_j over all views of code m; then all I_m are divided by I_128. w is their Gaussian,
-//! exp(-4 (y - 127.5)^2 / 127.5^2). Five things differ from the paper:
+//! where y_ij is the code of place j in frame i, and t_i the exposure of frame i. Each Gauss-Seidel iteration (sweep)
+//! first computes the x_j for the current I_m: x_j = sum_i w t_i I / sum_i w t_i^2. It then computes the I_m for these
+//! x_j: the mean of t_i x_j over all views (places in one frame) of code m. Finally, all I_m are divided by I_128. w is
+//! the Gaussian of the paper, exp(-4 (y - 127.5)^2 / 127.5^2). Five things differ from the paper:
 //!
-//! - y_ij is the mean of a patch and lies between two codes; I is interpolated linearly between them, and a view (a
-//!   place in one frame) counts for both codes.
+//! - y_ij is the mean of a patch and lies between two codes; I is interpolated linearly between them, and a view counts
+//!   for both codes.
 //! - w is divided by I^2, so that the relative error is minimised. Absolute errors would be dominated by bright
 //!   codes, and dark codes would have errors of at least 0.1 stops (measured on rendered brackets).
 //! - The change of ln I in a sweep is smoothed over the codes (Whittaker 1923). The sums have no unique minimum,

@@ -224,8 +224,8 @@ fn first_rise(changes: &[(usize, Ordering)]) -> usize {
 }
 
 /// Returns the code up to which a frame is black: the codes of patches that do not become brighter, plus two standard
-/// deviations of their noise. A patch with motion does not become brighter either, but other patches with the same
-/// code do.
+/// deviations of their noise. A patch with motion does not become brighter either. But other patches with the same code
+/// do, so that the code does not count as black.
 fn black(seen: &[&Places], channel: usize) -> f64 {
     let dark = |patch: &&[Patch; 3]| patch[channel].mean < DARK;
     let (mut underexposed, mut exposed) = (Vec::new(), Vec::new());

@@ -5,8 +5,8 @@
 use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 
-/// Returns the output files for a run that names none. They are beside the first input in the order of names, and are
-/// named after the first and the last input, such as `IMG_0001-IMG_0003.exr` and `IMG_0001-IMG_0003.png`.
+/// Returns the output files of a run for which the user names none. Inputs are sorted by name. The output files are
+/// beside the first input, and named after the first and the last, such as `IMG_0001-IMG_0003.exr` and `.png`.
 pub fn default_outputs(images: &[PathBuf]) -> Vec<PathBuf> {
     named_after(images, &["exr", "png"])
 }
@@ -17,8 +17,8 @@ pub fn default_folder(images: &[PathBuf]) -> PathBuf {
     named_after(images, &["inspect"]).pop().unwrap_or_default()
 }
 
-/// Returns a path for each of `extensions`. All are beside the first of `images` in the order of names, and are named
-/// after the first and the last image.
+/// Sorts `images` by name. Returns a path for each of `extensions`: beside the first image, and named after the first
+/// and the last image.
 fn named_after(images: &[PathBuf], extensions: &[&str]) -> Vec<PathBuf> {
     let mut sorted: Vec<&PathBuf> = images.iter().collect();
     sorted.sort_by(|a, b| natural(a, b));

@@ -193,7 +193,7 @@ impl<'a> Run<'a> {
             files.push(write::text(path, &SavedAlignment::of(bracket, alignment).to_json())?);
         }
         if let Some(prefix) = &self.options.save_aligned {
-            // The unit of radiance does not apply to frames.
+            // The comments are about the unit and range of radiance, and do not apply to frames.
             let metadata = |frame: &Frame| Metadata { comments: Vec::new(), ..metadata(frame, None, self.options) };
             files.extend(aligned::write(bracket, alignment, *region, prefix, metadata)?);
         }

@@ -312,8 +312,8 @@ mod tests {
         for k in 0..plain.len() {
             assert!(plain[k] > 0.3, "{k}: {}", plain[k]);
             assert!(by_spot[k].abs() < 0.02, "{k}: {}", by_spot[k]);
-            // The last picture, of the fused frames, is not tested: their codes went through a curve, so the light
-            // measured in radiance is not the light in their codes.
+            // The last picture, of the fused frames, is not tested with `by_light`. Their codes went through a curve,
+            // so the light measured in radiance is not the light in their codes.
             assert!(k == plain.len() - 1 || by_light[k].abs() < 0.02, "{k}: {}", by_light[k]);
             assert!(by_itself[k].abs() < 0.85 * plain[k], "{k}: {} of {}", by_itself[k], plain[k]);
         }

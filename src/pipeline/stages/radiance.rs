@@ -123,7 +123,7 @@ fn found(rows: &RadianceRows) -> Result<Option<Flare>> {
 enum Room {
     /// All rows.
     Enough,
-    /// At most this number; all rows are written to this file.
+    /// At most this number of rows; the radiance of all rows is written to this file.
     Rows(usize, Arc<Scratch>),
 }
 

@@ -31,7 +31,7 @@ pub const SCHEMA: &str = "hdralign-response/1";
 /// The formats of response files, by extension.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
-    /// `.json`: everything, exactly.
+    /// `.json`: all data of the curve and its camera, exactly.
     Json,
     /// `.rsp`: three polynomials, as hdrgen reads and writes them.
     Rsp,
@@ -64,7 +64,7 @@ impl Format {
 pub struct Encoded {
     /// The content of the file.
     pub text: String,
-    /// The curve that is read from it: exact, or as accurate as the format allows.
+    /// The curve that is read from the text: exact, or as accurate as the format allows.
     pub curve: ResponseCurve,
 }
 

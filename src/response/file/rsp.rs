@@ -62,8 +62,8 @@ pub(crate) fn read(text: &str) -> Result<ResponseCurve, String> {
         .ok_or_else(|| "its exposures are too large or too small for a 32-bit float".to_owned())
 }
 
-/// Replaces the exposures of the darkest codes, where hdrgen's polynomials may fall or be negative, by a line through
-/// 0.
+/// Replaces the exposures of the darkest codes, where hdrgen's polynomials may fall or be negative, by a straight line
+/// that is 0 at x = 0.
 fn rising(channels: &mut [[f64; CODES]; 3]) -> Result<(), String> {
     for (x, name) in channels.iter_mut().zip(["red", "green", "blue"]) {
         let sound = |z: usize| x[z] > 0.0 && x[z + 1] > x[z];

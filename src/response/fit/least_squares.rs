@@ -109,7 +109,7 @@ mod tests {
         assert!((condition / whole - 1.0).abs() < 1e-12);
     }
 
-    /// Läuchli's matrix, which has a condition of 3e4; the square of the condition is 1e9.
+    /// The test uses Läuchli's matrix. Its condition number is 3e4, and the square of that number is 1e9.
     #[test]
     fn digits_are_lost_by_the_condition_and_not_by_its_square() {
         let small = 5e-5;
