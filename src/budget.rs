@@ -10,7 +10,8 @@
 //! MemoryLimit::PROGRAM + held + threads * thread()
 //! ```
 //!
-//! where `held` is the maximum over the stages, because each stage frees its memory before the next one begins:
+//! where `thread()` is the memory of the buffers of one thread. `held` is the largest memory of any stage, because each
+//! stage frees its memory before the next one begins:
 //!
 //! | stage | frames in memory | frames on disk |
 //! |---|---|---|
@@ -20,7 +21,7 @@
 //! | merging | all frames, the radiance map | rows of all frames and of radiance, in half of the remaining memory |
 //! | tone mapping | all frames, the radiance map, the overview | the overview, rows of radiance |
 //! | fusion | all frames, the radiance map, pyramids of the fusion | pyramids of the fusion, one frame |
-//! | inspection | as alignment with all pyramid levels, drawings | the same |
+//! | inspection | as for alignment, but with all pyramid levels; drawings | the same |
 //!
 //! Frames stay in memory if that fits with all threads. Otherwise they are on disk, and as many threads are used as
 //! fit. If even one thread and one frame at a time do not fit, the run is refused.
@@ -29,32 +30,37 @@ use crate::error::{Error, Result};
 use crate::limits::Limits;
 use crate::scratch::MemoryLimit;
 
-/// Bytes per thread for any size of the frames: tables, points and patches of a comparison, and memory that the
-/// allocator keeps. Measured with nine frames of 12 MP on 1 to 16 threads.
+/// Bytes that a thread takes for frames of any size: tables, points and patches for the comparison of frames, and
+/// memory that the allocator keeps. Measured with nine frames of 12 MP on 1 to 16 threads.
 const THREAD: u64 = 4 << 20;
-/// Bytes of a scale space per pixel: six floats; all octaves together have 4/3 of the pixels of the first.
+/// Bytes of a scale space per pixel: six floats of 4 bytes. All octaves together have 4/3 of the pixels of the first
+/// octave.
 const SCALE_SPACE: u64 = 4 * 6 * 4 / 3;
-/// Bytes per thread and column: bands of 64 rows of radiance, of display values and of encoded data. Measured as
-/// [`THREAD`].
+/// Bytes that a thread takes for each column of a frame: bands of 64 rows of radiance, of display values and of
+/// encoded data. Measured in the same way as [`THREAD`].
 const COLUMN: u64 = 64 * 20;
-/// Bytes per cell of deghosting: values of two frames, intermediate results, and values where the reference is clipped.
+/// Bytes per cell (a square of pixels) of deghosting: values of two frames, intermediate results, and values where the
+/// reference is clipped.
 const CELL: u64 = 156;
-/// Bytes per cell while a frame is averaged over cells.
+/// Bytes per cell of deghosting while the pixels of one frame are averaged over the cells.
 const AVERAGED: u64 = 48;
 /// Bytes per pixel of radiance: three floats.
 const RADIANCE: u64 = 12;
-/// Bytes per cell of the overview during tone mapping. Measured for `mantiuk06`, which takes the most.
+/// Bytes per cell of the overview, the grid of mean luminances from which tone mapping begins. Measured for
+/// `mantiuk06`, which takes the most.
 const TONES: u64 = 48;
-/// Three times the bytes of fusion per pixel (three times, to be an integer), for any number of frames: floats of the
-/// sum of weights (4), of the pyramid of a frame's weight, with 4/3 of the pixels (16 / 3), of three channels of a
-/// frame (12), and of the three pyramids of the result (16).
+/// Three times the bytes that fusion takes per pixel, for any number of frames; the factor of three makes it an
+/// integer. The bytes are those of the floats for the sum of weights (4), the pyramid of a frame's weight (16 / 3,
+/// because a pyramid has 4/3 of the pixels), three channels of a frame (12), and the three pyramids of the result
+/// (16).
 const FUSION_3: u64 = 12 + 16 + 36 + 48;
-/// Three times the bytes per pixel for the pyramid of a channel (16 / 3); up to three are computed in parallel.
+/// Three times the bytes per pixel of the pyramid of one channel (16 / 3). Up to three of these pyramids are computed
+/// in parallel.
 const CHANNEL_3: u64 = 16;
-/// Bytes per drawing of `inspect`: at most 1600 x 1600 pixels, with four bytes to draw, three for the file, and the
-/// PNG.
+/// Bytes per drawing of `inspect`. A drawing has at most 1600 x 1600 pixels, with four bytes per pixel to draw, three
+/// for the file, and the PNG.
 const SHEET: u64 = 24 << 20;
-/// Largest number of drawings computed at a time, one per thread: a frame has this number.
+/// Largest number of drawings that are computed at a time, one per thread. It is the number of drawings of one frame.
 const SHEETS: u64 = 6;
 
 /// The stages of a run that determine its memory.
@@ -86,25 +92,28 @@ pub(crate) struct Demand {
 }
 
 impl Demand {
-    /// Largest number of pixels of frames whose grey pyramid includes the full size.
+    /// Largest number of pixels of a frame whose grey pyramid includes the full size. The pyramid of a larger frame
+    /// begins at half its width and height.
     pub const WHOLE_PYRAMID: u64 = 4_000_000;
-    /// Largest number of pixels of the level on which agreement is measured and features are detected.
+    /// Largest number of pixels of the pyramid level on which the agreement of frames is measured and features are
+    /// detected.
     pub const MEASURED_PIXELS: u64 = 600_000;
-    /// Largest number of cells of deghosting, unless they would be larger than 8 x 8 pixels.
+    /// Largest number of cells of deghosting. It is exceeded only if even the largest cells, of 8 x 8 pixels, are
+    /// more.
     pub const MOST_CELLS: u64 = 1 << 18;
-    /// Largest number of cells of the overview of tone mapping.
+    /// Largest number of cells of the overview of tone mapping (a grid of mean luminances).
     const OVERVIEW_CELLS: u64 = 1 << 20;
 
     fn pixels(&self) -> u64 {
         self.size.0 as u64 * self.size.1 as u64
     }
 
-    /// Bytes per thread.
+    /// Bytes of the buffers of one thread.
     pub fn thread(&self) -> u64 {
         THREAD + COLUMN * self.size.0 as u64
     }
 
-    /// Upper bound of the bytes for each thread after the first, if frames of `size` pixels are in memory.
+    /// Upper bound of the bytes that each additional thread takes if frames of this `size` are in memory.
     pub fn another_thread(size: (usize, usize)) -> u64 {
         let stages = Stages { features: true, ..Stages::default() };
         let one = Demand { stages, frames: 1, size, frame: 0, decoding: 0 };
@@ -120,49 +129,53 @@ impl Demand {
         SCALE_SPACE * pixels
     }
 
-    /// Bytes of a grey pyramid, without the full size of a large frame; each level has a quarter of the pixels of the
-    /// previous one.
+    /// Bytes of a grey pyramid. The pyramid of a frame with more than `WHOLE_PYRAMID` pixels does not include the full
+    /// size. Each level has a quarter of the pixels of the next larger level.
     fn pyramid(&self) -> u64 {
         self.pixels() * if self.pixels() <= Demand::WHOLE_PYRAMID { 4 } else { 1 } / 3
     }
 
-    /// Number of cells of deghosting; their sides are powers of 2.
+    /// Number of cells of deghosting. Their sides are 2, 4 or 8 pixels.
     fn cells(&self) -> u64 {
         let of_side = |log: u32| self.pixels() >> (2 * log);
         (1..=3).map(of_side).find(|&cells| cells <= Demand::MOST_CELLS).unwrap_or(of_side(3))
     }
 
-    /// Bytes of deghosting, including those kept for each frame and `whole` bytes for one frame.
+    /// Bytes of deghosting, including one byte per cell that is kept for each frame. `whole` is the number of bytes of
+    /// a frame that is read from disk, or 0 if all frames are in memory.
     fn deghosting(&self, whole: u64) -> u64 {
         let held = (CELL * self.cells()).max(whole + AVERAGED * self.cells());
         if self.stages.deghosting { held + self.frames as u64 * self.cells() } else { 0 }
     }
 
-    /// Returns the bytes of alignment: the pyramids of all frames, and the largest of three numbers: those of the
-    /// comparison by `threads` threads, `whole` bytes of a frame, and those of the features of `detecting` frames at a
-    /// time.
+    /// Returns the bytes of alignment: the pyramids of all frames, and in addition the largest of three numbers. These
+    /// are the bytes of the comparison of frames on `threads` threads; the bytes of the features, which are detected
+    /// in `detecting` frames at a time; and `whole`, the bytes of a frame that is read from disk (0 if all frames are
+    /// in memory).
     ///
-    /// Before detection, the grey image is doubled, but not the bitmaps. Each bitmap is processed by one thread.
+    /// Before features are detected, the grey image is doubled in width and height; the bitmaps are not. Each bitmap
+    /// is processed by one thread.
     fn aligning(&self, threads: u64, whole: u64, detecting: u64) -> u64 {
         let all = self.frames as u64;
         let pyramids = all * self.pyramid();
-        // On each side of the reference in exposure, an aligned neighbour is resampled to the reference's grid in full
-        // size.
+        // Frames are aligned in two directions from the reference: towards shorter and towards longer exposures. In
+        // each direction, one aligned frame at a time is resampled to the grid of the reference, in full size.
         let sides = detecting.min(2);
         let resampled = sides * self.pixels();
         let features = sides * self.pyramid() + resampled.max((3 * detecting + threads) * self.scale_space());
         let features = if self.stages.features { features } else { 0 };
         let beside = whole.max(threads * self.scale_space()).max(features);
         if self.stages.inspecting {
-            // All levels of the pyramid, and two bitmaps.
+            // Each frame has all levels of the pyramid, and two bitmaps.
             let of_frame = self.pixels() * 4 / 3 + self.pixels() / 4;
             return all * of_frame + beside.max(threads.min(SHEETS) * SHEET);
         }
         pyramids + beside
     }
 
-    /// Returns the bytes of merging and tone mapping on `threads` threads, without the rows of [`Budget::slab`]:
-    /// `pixel` bytes per pixel of radiance, and for fusion `whole` bytes of a frame.
+    /// Returns the bytes of merging and tone mapping on `threads` threads, without the rows of [`Budget::slab`].
+    /// `pixel` is the number of bytes per pixel of radiance that stay in memory, and `whole` is the number of bytes of
+    /// a frame that fusion reads from disk. Each is 0 if there are no such bytes.
     fn merging(&self, threads: u64, pixel: u64, whole: u64) -> u64 {
         let beside = match self.stages.fusing {
             true => (FUSION_3 + CHANNEL_3 * threads.min(3)) * self.pixels() / 3 + whole,
@@ -171,7 +184,7 @@ impl Demand {
         if self.stages.merging { pixel * self.pixels() + beside } else { 0 }
     }
 
-    /// Bytes of the run without [`MemoryLimit::PROGRAM`], with all frames in memory.
+    /// Bytes of the run in addition to [`MemoryLimit::PROGRAM`], with all frames in memory.
     fn in_memory(&self, threads: usize) -> u64 {
         let (detecting, threads) = (threads.min(self.frames) as u64, threads as u64);
         let merging = self.merging(threads, RADIANCE, 0);
@@ -179,7 +192,7 @@ impl Demand {
         self.frames as u64 * self.frame + held.max(self.decoding.saturating_sub(self.frame))
     }
 
-    /// Bytes of the run without [`MemoryLimit::PROGRAM`], with the frames on disk.
+    /// Bytes of the run in addition to [`MemoryLimit::PROGRAM`], with the frames on disk.
     fn on_disk(&self, threads: usize) -> u64 {
         let (whole, threads) = (self.frame, threads as u64);
         let merging = self.merging(threads, 0, whole);
@@ -238,7 +251,7 @@ impl Budget {
         Err(Error::Option { option: "--max-memory", reason })
     }
 
-    /// Returns the bytes of the run with all frames in memory, on `threads` threads; none if they do not fit.
+    /// Returns the bytes of the run with all frames in memory, on `threads` threads; `None` if they do not fit.
     pub fn in_memory(&self, threads: usize) -> Option<u64> {
         Some(self.demand.in_memory(threads)).filter(|&held| held <= self.available)
     }
@@ -269,7 +282,7 @@ mod tests {
 
     const MB: u64 = 1_000_000;
 
-    /// Frames of 12 MP and 8 bits, merged.
+    /// The demand of a run that merges frames of 12 MP and 8 bits.
     fn demand(frames: usize) -> Demand {
         let stages = Stages { features: true, merging: true, ..Stages::default() };
         Demand { stages, frames, size: (4000, 3000), frame: 36 * MB, decoding: 40 * MB }

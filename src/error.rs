@@ -1,7 +1,7 @@
 //! Errors and warnings.
 //!
-//! An [`Error`] stops a run; its text names the file or option, what is wrong and what to do. A [`Warning`] is part of
-//! the report; with `--strict`, warnings that [degrade](Warning::degrades) the result change the exit code to 3.
+//! An [`Error`] stops a run. Its text names the file or option, what is wrong and what to do. A [`Warning`] is part of
+//! the report. With `--strict`, warnings that [degrade](Warning::degrades) the result change the exit code to 3.
 
 mod warning;
 
@@ -59,7 +59,7 @@ pub enum Error {
         /// What the first bytes look like, in words.
         found: &'static str,
     },
-    /// A file to compare is not in a supported format.
+    /// A file to be compared is not in a supported format.
     #[error(
         "{}: cannot be compared ({found}); give a radiance map (.exr, .hdr, .tif) or a picture (.png, .jpg, .tif)",
         path.display()
@@ -70,18 +70,18 @@ pub enum Error {
         /// What the first bytes look like, in words.
         found: String,
     },
-    /// A radiance map cannot be compared with a display picture.
+    /// A radiance map was to be compared with a display picture, which is not possible.
     #[error(
         "{}: contains {kind}, but {} contains {other_kind}; compare two radiance maps or two pictures (`hdralign tonemap` creates pictures)",
         path.display(),
         other.display()
     )]
     KindsDiffer {
-        /// The expected file.
+        /// The file with the expected values.
         path: PathBuf,
         /// What the expected file contains, in words.
         kind: &'static str,
-        /// The actual file.
+        /// The file with the actual values.
         other: PathBuf,
         /// What the actual file contains, in words.
         other_kind: &'static str,
@@ -113,12 +113,12 @@ pub enum Error {
         /// The path that was given earlier.
         other: PathBuf,
     },
-    /// The exposure is neither given nor in the file.
+    /// The exposure is not given by the user, cannot be taken from the file, and cannot be estimated from the pixels.
     #[error("{}: {reason}; give the exposures with -e, in EV and in the order of the files, for example `-e=-2,0,2`", path.display())]
     NoExposure {
         /// The file.
         path: PathBuf,
-        /// What is missing.
+        /// Why there is no exposure.
         reason: String,
     },
     /// No frame could be aligned to the reference, so there is nothing to merge.
@@ -155,7 +155,7 @@ pub enum Error {
         /// The file.
         path: PathBuf,
     },
-    /// An existing result was made from other photographs and has the name of the new one.
+    /// An existing result has the name of the new result, but was made from other photographs.
     #[error(
         "{}: was made from other photographs with the same names; choose another folder or unique names (for example {{date}} and {{time}} in `--name`), or replace it with --force",
         path.display()

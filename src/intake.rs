@@ -1,7 +1,7 @@
 //! Reading of complete files into memory.
 //!
-//! In: a path, and the largest size. Out: all bytes of the file at one moment: a file that is written, truncated or
-//! replaced while it is read is an error. Cost: one read. Pipes are read to their end or to the largest size.
+//! In: a path, and the largest size. Out: all bytes of the file at one moment. It is an error if the file is written,
+//! truncated or replaced while it is read. Cost: one read. Pipes are read to their end or to the largest size.
 
 use crate::error::{Error, Result};
 use std::fs::{File, Metadata};
@@ -9,16 +9,18 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-/// Largest size of response files, files of transforms and reports, in bytes: written files are below a megabyte.
+/// Largest size of response files, files of transforms and reports, in bytes. Those that hdralign writes are smaller
+/// than one megabyte.
 pub(crate) const MOST_OF_A_TEXT: u64 = 64 << 20;
 
-/// Largest size of a plan, in bytes: a job takes about 2 kB.
+/// Largest size of a plan of batch jobs, in bytes. One job takes about 2 kB.
 pub(crate) const MOST_OF_A_PLAN: u64 = 1 << 30;
 
 /// Reads all bytes of the file `path`, at most `most`.
 ///
 /// # Errors
-/// [`Error::Read`], also for folders, larger files and if there is not enough memory; [`Error::Changed`].
+/// [`Error::Read`], also for folders, for files larger than `most`, and if there is not enough memory;
+/// [`Error::Changed`].
 pub(crate) fn whole(path: &Path, most: u64) -> Result<Vec<u8>> {
     whole_if(path, most, |_| Ok(()))
 }
@@ -26,8 +28,8 @@ pub(crate) fn whole(path: &Path, most: u64) -> Result<Vec<u8>> {
 /// Number of bytes at the beginning of a file by which its format is recognised.
 const BEGIN: u64 = 512;
 
-/// As [`whole`], if `is_wanted` accepts the first bytes; otherwise nothing more is read, because the file may be
-/// endless.
+/// As [`whole`], but only if `is_wanted` accepts the first bytes. If it does not, nothing more is read, because the
+/// file may be endless.
 ///
 /// # Errors
 /// Those of [`whole`] and of `is_wanted`.
@@ -47,7 +49,7 @@ pub(crate) fn whole_if(path: &Path, most: u64, is_wanted: impl FnOnce(&[u8]) -> 
         let reason = "but the system does not provide that much memory; close other programs, or raise `ulimit -v`";
         return Err(refused(path, format!("it has {mb} MB, {reason}")));
     }
-    // One byte more than expected, to detect growing and endless files.
+    // Reads one byte more than expected, to detect growing and endless files.
     let read = if is_file { length.saturating_add(1) } else { most.saturating_add(1) };
     (&mut file).take(read.min(BEGIN)).read_to_end(&mut bytes).map_err(unreadable)?;
     is_wanted(&bytes)?;
@@ -94,7 +96,7 @@ pub(crate) fn open_regular(path: &Path) -> Result<File> {
     open(path)
 }
 
-/// Returns an error whose `reason` includes what to do; [`Error::Read`] adds no advice to errors of the kind
+/// Returns an error whose `reason` includes what to do. [`Error::Read`] adds no advice to errors of the kind
 /// `InvalidInput`.
 fn refused(path: &Path, reason: String) -> Error {
     Error::Read { path: path.to_owned(), source: io::Error::new(io::ErrorKind::InvalidInput, reason) }
@@ -113,7 +115,7 @@ fn too_long(path: &Path, length: u64, most: u64) -> Error {
 #[cfg(unix)]
 pub(crate) type Identity = (u64, u64);
 
-/// The identity of the file or folder `path`, following links; none if it does not exist.
+/// The identity of the file or folder `path`, following links; `None` if it does not exist.
 #[cfg(unix)]
 pub(crate) fn identity(path: &Path) -> Option<Identity> {
     use std::os::unix::fs::MetadataExt;
@@ -125,13 +127,13 @@ pub(crate) fn identity(path: &Path) -> Option<Identity> {
 #[cfg(not(unix))]
 pub(crate) type Identity = PathBuf;
 
-/// The identity of the file or folder `path`, following links; none if it does not exist.
+/// The identity of the file or folder `path`, following links; `None` if it does not exist.
 #[cfg(not(unix))]
 pub(crate) fn identity(path: &Path) -> Option<Identity> {
     std::fs::canonicalize(path).ok()
 }
 
-/// Length and time of the last modification, by which changes of a file are detected.
+/// Length of a file and time of its last modification. A change of either shows that the file was changed.
 type State = (u64, Option<SystemTime>);
 
 fn state(metadata: &Metadata) -> State {
@@ -155,7 +157,7 @@ impl Stamp {
         Ok(Stamp { path: path.to_owned(), state: state(&metadata) })
     }
 
-    /// Checks that the file is unchanged.
+    /// Checks that the file is unchanged since this stamp was made.
     ///
     /// # Errors
     /// [`Error::Changed`] if it was changed or removed.
@@ -195,7 +197,7 @@ mod tests {
         assert!(unwanted.is_err());
     }
 
-    /// The files are sparse, and so take no space on the disk.
+    /// The files are sparse, so they take no space on the disk.
     #[test]
     fn impossible_length_is_rejected_before_reading() {
         let dir = tempfile::tempdir().unwrap();
@@ -203,7 +205,7 @@ mod tests {
         File::create(&path).unwrap().set_len(1 << 40).unwrap();
         let error = whole(&path, 1 << 30).unwrap_err().to_string();
         assert!(error.contains("1099512 MB") && error.contains("1074 MB"), "{error}");
-        // This size is allowed, but so much memory is not available on a usual machine.
+        // This file is within the allowed size, but a usual machine does not have so much memory.
         File::create(&path).unwrap().set_len(1 << 42).unwrap();
         if !crate::limits::is_available(1 << 42) {
             assert!(whole(&path, 1 << 50).unwrap_err().to_string().contains("does not provide that much memory"));
@@ -218,7 +220,7 @@ mod tests {
         assert!(open_regular(Path::new("/dev/zero")).unwrap_err().to_string().contains("a pipe or a device"));
     }
 
-    /// Files of /proc have length 0 by their metadata, so they seem to grow.
+    /// The metadata of files in /proc has the length 0, so they seem to grow.
     #[cfg(target_os = "linux")]
     #[test]
     fn a_file_that_grows_is_refused() {
@@ -248,7 +250,7 @@ mod tests {
             };
             assert!(matches!(whole_if(&path, 1 << 20, changed), Err(Error::Changed { .. })), "{name}");
         }
-        // Replacing the name by another file does not change the file that is open.
+        // This gives the name to another file, which does not change the file that is open.
         std::fs::write(&path, vec![1; length]).unwrap();
         let replace = |_: &[u8]| {
             std::fs::write(dir.path().join("b"), [2]).unwrap();

@@ -1,7 +1,7 @@
 //! Aligns a bracket of differently exposed photographs, recovers the camera's response, merges the frames to linear
 //! radiance, and tone-maps it.
 //!
-//! From files to files, as `hdralign merge`:
+//! From files to files, like the command `hdralign merge`:
 //!
 //! ```no_run
 //! use hdralign::pipeline::{self, Options};
@@ -17,7 +17,7 @@
 //! # }
 //! ```
 //!
-//! From memory to memory, without files. The caller may cancel the run and chooses the thread pool:
+//! From memory to memory, without files. The caller chooses the thread pool, and may cancel the run:
 //!
 //! ```
 //! use hdralign::bracket::{Bracket, Frame, ReferenceChoice, exposure::Exposure};
@@ -69,28 +69,30 @@
 //!
 //! # Terms
 //!
-//! - **Frame**: one photograph of a **bracket**, as pixel values of the camera. The other frames are aligned to the
-//!   **reference** frame.
+//! - **Bracket**: differently exposed photographs of one scene. **Frame**: one photograph of a bracket, as pixel
+//!   values of the camera. The other frames are aligned to the **reference** frame.
 //! - **Pixel value** (code value) Z: the stored integer, 0..=255 or 0..=65535, encoded by the camera.
-//! - **Exposure** X = E Δt: the light collected by a pixel. **Relative exposure** of a frame: t · ISO / N². **EV**:
-//!   log2 of the relative exposure.
+//! - **Exposure** X = E Δt: the light collected by a pixel. **Relative exposure** of a frame: t · ISO / N², with the
+//!   exposure time t and the f-number N. **EV**: log2 of the relative exposure.
 //! - **Response** g(Z) = ln X: the logarithmic exposure of a pixel value. **Radiance** E: exposure divided by time.
-//! - **Transform**: reference pixel → frame pixel. (0, 0) is the centre of the top-left pixel, x to the right, y down.
+//! - **Transform**: maps a position in the reference frame to a position in another frame. (0, 0) is the centre of the
+//!   top-left pixel, x to the right, y down.
 //! - **MTB**: median threshold bitmap (Ward 2003), the pixels brighter than the median. The exclusion bitmap excludes
 //!   pixels close to the median from comparison.
 //!
 //! # Layers
 //!
-//! A module uses only those before it: [`error`], [`limits`], `intake`, `tiff_file`, [`simd`], [`plane`], `statistics`,
-//! [`scratch`], `budget`, [`pyramid`], `pixel`, [`bracket`], [`align`], [`response`], [`merge`], [`tonemap`],
-//! [`mod@write`], [`read`], [`report`], `draw`, [`inspect`], [`compare`], `page`, [`pipeline`], [`batch`], and
-//! the program's `cli`. In the folder of a stage, `mod.rs` has the main types, and has or re-exports the
-//! entry function.
+//! A module uses only modules before it in this list: [`error`], [`limits`], `intake`, `tiff_file`, [`simd`],
+//! [`plane`], `statistics`, [`scratch`], `budget`, [`pyramid`], `pixel`, [`bracket`], [`align`], [`response`],
+//! [`merge`], [`tonemap`], [`mod@write`], [`read`], [`report`], `draw`, [`inspect`], [`compare`], `page`,
+//! [`pipeline`], [`batch`], and the program's `cli`. In the folder of a stage, `mod.rs` has the main types and the
+//! entry function, which may be a re-export.
 //!
 //! # Reproducible results
 //!
-//! Results do not depend on the number of threads, the order of the inputs or the processor: parallel work is a map
-//! over fixed bands folded in order, and exp, ln, pow and similar functions come from one portable implementation.
+//! Results do not depend on the number of threads, the order of the inputs or the processor. Parallel work is split
+//! into fixed bands of rows, and their results are combined in the order of the bands. The functions exp, ln, pow and
+//! similar ones come from one portable implementation.
 //!
 //! # Stability
 //!

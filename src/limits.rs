@@ -1,7 +1,8 @@
 //! Limits on the size of images, checked against the header of a file before memory is allocated for it.
 //!
-//! In: sizes from headers. Out: nothing, or the reason and what to do. Cost: negligible. The header of a file of a few
-//! kilobytes can claim terabytes, and compressed data can expand to gigabytes of zeros.
+//! In: sizes from headers. Out: nothing, or the reason and what to do. Cost: negligible. Without these limits, a file
+//! of a few kilobytes can take all memory: its header can claim terabytes, and its compressed data can expand to
+//! gigabytes of zeros.
 
 use std::hint::black_box;
 
@@ -10,8 +11,8 @@ use std::hint::black_box;
 pub struct Limits {
     /// Largest number of pixels of an image. Default: [`MAX_PIXELS`](Self::MAX_PIXELS).
     pub max_pixels: u64,
-    /// Most memory for one file and its decoded image, and for what is computed from it, in bytes. Default: no limit
-    /// but that of the system.
+    /// Maximum memory in bytes for one file, its decoded image, and what is computed from the image. Default: only the
+    /// limit of the system.
     pub memory: Option<u64>,
 }
 
@@ -21,8 +22,8 @@ impl Default for Limits {
     }
 }
 
-/// Memory that must be available in addition to an image, in bytes: without it, a later allocation would abort the
-/// process.
+/// Memory in bytes that must be available in addition to that for an image. Without it, a later allocation could fail
+/// and abort the process.
 const BESIDE: u64 = 16 << 20;
 
 impl Limits {
@@ -30,13 +31,13 @@ impl Limits {
     /// not even by shifting the sensor (400 million).
     pub const MAX_PIXELS: u64 = 500_000_000;
 
-    /// Largest number of bytes per pixel in the formats that are read: four floats.
+    /// Largest number of bytes per pixel in the supported input formats: four floats.
     const BYTES_PER_PIXEL: u64 = 16;
 
-    /// Checks the number of pixels.
+    /// Checks that an image has pixels, and not more than allowed.
     ///
     /// # Errors
-    /// The reason and what to do, if there are no pixels or too many.
+    /// The reason and what to do.
     pub(crate) fn check_size(&self, width: usize, height: usize) -> Result<(), String> {
         let pixels = width as u128 * height as u128;
         if pixels == 0 {
@@ -58,10 +59,10 @@ impl Limits {
         Limits { memory: self.memory.map(|memory| memory.saturating_sub(bytes)), ..*self }
     }
 
-    /// Checks that decoding an image of `size` pixels may take `bytes` of memory.
+    /// Checks that decoding an image of `size` pixels, which takes `bytes` of memory, is allowed and possible.
     ///
     /// # Errors
-    /// The reason and what to do, if that exceeds the limit or what the system provides.
+    /// The reason and what to do, if `bytes` exceeds the limit or what the system provides.
     pub(crate) fn check_memory(&self, size: (usize, usize), bytes: u64) -> Result<(), String> {
         self.check_memory_while("decoded", size, bytes)
     }
@@ -96,41 +97,43 @@ impl Limits {
         Ok(())
     }
 
-    /// Returns the largest size of a file, in bytes: that of uncompressed pixels, and 256 MiB for other data of the
-    /// camera.
+    /// Returns the largest size of a file, in bytes: the size of uncompressed pixels, and 256 MiB for other data of the
+    /// camera. It is not more than the memory limit.
     pub(crate) fn most_bytes(&self) -> u64 {
         let by_pixels = self.max_pixels.saturating_mul(Limits::BYTES_PER_PIXEL).saturating_add(256 << 20);
         self.memory.map_or(by_pixels, |memory| memory.min(by_pixels))
     }
 }
 
-/// Whether the system provides `bytes` of memory and [`BESIDE`]. The memory is not touched, so the check is cheap.
+/// Whether the system provides `bytes` of memory, plus [`BESIDE`]. The memory is reserved but not touched, so the check
+/// is cheap.
 pub(crate) fn is_available(bytes: u64) -> bool {
     let Ok(bytes) = usize::try_from(bytes.saturating_add(BESIDE)) else { return false };
     let mut reserved: Vec<u8> = Vec::new();
     let is_available = reserved.try_reserve_exact(bytes).is_ok();
-    // Prevents the compiler from removing the unused allocation.
+    // This prevents the compiler from removing the allocation, which is not used.
     black_box(reserved.as_ptr());
     is_available
 }
 
-/// Largest factor by which deflate expands data: 258 bytes from 2 bits (RFC 1951).
+/// Largest factor by which deflate expands data: 2 bits can represent 258 bytes (RFC 1951).
 pub(crate) const DEFLATE: u64 = 1032;
 
-/// Returns the largest factor by which a TIFF compression expands data (TIFF 6.0, sections 9 and 13); no bound for
+/// Returns the largest factor by which a TIFF compression expands data (TIFF 6.0, sections 9 and 13); `u64::MAX` for
 /// unknown compressions.
 pub(crate) fn tiff_packing(compression: u32) -> u64 {
     match compression {
         1 => 1,
         32773 => 64,
-        // A code of 12 bits represents less than 4096 bytes.
+        // LZW: a code of 12 bits represents fewer than 4096 bytes.
         5 => 4096 * 2 / 3,
         8 | 32946 => DEFLATE,
         _ => u64::MAX,
     }
 }
 
-/// Checks that a file of `length` bytes can contain `bytes` of pixels, compressed by a factor of at most `most`.
+/// Checks that a file of `length` bytes can contain `bytes` of pixels, if its compression expands data by a factor of
+/// at most `most`.
 ///
 /// # Errors
 /// The reason and what to do, if the file is too short.
@@ -195,7 +198,7 @@ mod tests {
             "{reason}"
         );
         assert!(reason.contains("--max-memory"), "{reason}");
-        // 2^60 bytes are more than the address space.
+        // 2^60 bytes exceed the address space.
         let reason = Limits::default().check_memory((1, 1), 1 << 60).unwrap_err();
         assert!(reason.contains("the system does not provide"), "{reason}");
         assert!(is_available(1 << 20) && !is_available(u64::MAX));

@@ -2,7 +2,8 @@
 
 mod cli;
 
-/// Returns the memory of frames to the system after each stage; many system allocators keep it, due to fragmentation.
+/// This allocator returns the freed memory of frames to the system after each stage. Many system allocators keep such
+/// memory because of fragmentation.
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 

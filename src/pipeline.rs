@@ -1,8 +1,8 @@
 //! The pipeline: load, align, response, merge, tonemap, write, report.
 //!
-//! In: the paths of a bracket and [`Options`]. Out: the files asked for, and an [`Outcome`]. Cost: the sum of the
-//! stages; the report has the time of each. [`run`] is for photographs in files, [`merge_bracket`] for a bracket in
-//! memory.
+//! In: the paths of a bracket and [`Options`]. Out: the requested files, and a [`Report`] or an [`Outcome`]. Cost: the
+//! sum of the stages; the report has the time of each. [`run`] is for photographs in files, [`merge_bracket`] for a
+//! bracket in memory.
 
 #[doc(hidden)]
 pub mod camera;
@@ -69,12 +69,13 @@ pub struct Options {
     pub flare: bool,
     /// Part of the reference that the results show.
     pub crop: Crop,
-    /// Linear colour space of the results; `None` for that of the profile of the reference.
+    /// Linear colour space of the results; `None` for the colour space of the reference's colour profile.
     pub colour: Option<Space>,
     /// Calibration of radiance to cd/m2.
     pub calibration: Calibration,
-    /// Relative exposure t * ISO / N^2, in s, at which radiance 1 has the middle code value, so that brackets can be
-    /// compared (normalisation); `None` for that of the reference. Not with [`calibration`](Self::calibration).
+    /// Relative exposure t * ISO / N^2, in s, that gives radiance 1 the middle code value. With the same number for
+    /// all brackets, their radiances can be compared (normalisation). `None` for the relative exposure of the
+    /// reference. Cannot be combined with [`calibration`](Self::calibration).
     pub unit_exposure: Option<f64>,
     /// Tone mapping operator, or exposure fusion.
     pub rendering: Rendering,
@@ -139,7 +140,7 @@ pub enum Stage {
     Merge,
     /// Tone mapping.
     Tonemap,
-    /// Collecting and drawing the evidence for the alignment, for an HTML report or for `inspect`.
+    /// Collecting and drawing the data that show how the frames were aligned, for an HTML report or for `inspect`.
     Inspect,
     /// Writing.
     Write,
@@ -155,8 +156,8 @@ pub enum Progress {
 }
 
 /// Callback that receives the progress, from any thread. If it returns `Break` for [`Progress::Begins`], the run is
-/// cancelled before that stage with [`Error::Cancelled`] and writes no file; the answer to [`Progress::Decoded`] is
-/// ignored.
+/// cancelled before that stage with [`Error::Cancelled`] and writes no file. The return value for
+/// [`Progress::Decoded`] is ignored.
 pub type Watch<'a> = &'a (dyn Fn(Progress) -> ControlFlow<()> + Sync);
 
 /// A [`Watch`] that ignores the progress and never cancels.
@@ -175,8 +176,8 @@ fn announce(watch: Watch, stage: Stage) -> Result<()> {
 /// Aligns, calibrates, merges, tone-maps and writes the bracket `images`, and returns the report.
 ///
 /// Files are renamed to their names only when all are complete: on an error there are no new output files. The result
-/// does not depend on the order of `images` (except for exposures and a reference given by position), on the number of
-/// threads, on the memory limit, or on the machine.
+/// does not depend on the order of `images` (unless exposures or the reference are given by position), on the number
+/// of threads, on the memory limit, or on the machine.
 ///
 /// # Errors
 /// See [`Error`]; the text names the file and the remedy.
@@ -231,7 +232,7 @@ pub fn develop(images: &[PathBuf], options: &Options, watch: Watch) -> Result<Ou
     results.outcome(prepared)
 }
 
-/// The results of a run, in memory or on disk, after all files are written.
+/// The radiance and the picture of a run, after all files are written. The radiance may be in memory or on disk.
 struct InMemory {
     radiance: RadianceRows,
     /// The picture; empty unless it was requested.
@@ -246,7 +247,7 @@ impl InMemory {
     }
 }
 
-/// Like [`prepare`], and also returns the results; the picture only if `is_kept`.
+/// Like [`prepare`], and also returns the results. The picture is empty unless `is_kept`.
 fn merge_files(
     images: &[PathBuf],
     options: &Options,
@@ -279,7 +280,7 @@ fn on_files<R: Send>(
     })
 }
 
-/// Runs the stages after loading.
+/// Runs all stages after loading.
 fn merge_loaded(
     mut run: Run,
     bracket: Bracket,
@@ -327,7 +328,8 @@ pub fn align_only(images: &[PathBuf], options: &Options, watch: Watch) -> Result
     })
 }
 
-/// Aligns the bracket `images` and writes the evidence for the alignment into `folder`: tables, bitmaps and drawings.
+/// Aligns the bracket `images` and writes the data that show how it was aligned into `folder`: tables, bitmaps and
+/// drawings.
 ///
 /// Uses only the options for loading, alignment, threads and overwriting. Returns the tables, which list the files.
 ///
@@ -357,7 +359,7 @@ fn validate(options: &Options) -> Result<()> {
     options.deghost.validate()
 }
 
-/// Checks that there is more to merge than the reference.
+/// Checks that at least one frame besides the reference can be merged.
 fn check_placed(Aligned { bracket, alignment, .. }: &Aligned) -> Result<()> {
     if alignment.placed(bracket).count() > 1 {
         return Ok(());

@@ -1,7 +1,8 @@
 //! [`Plane`], the image buffer, and the bands of rows for parallel work.
 //!
-//! In: sizes and closures. Out: the same bytes on any number of threads, because the bands depend only on the height,
-//! each is computed independently, and results are collected or folded in index order. Cost: that of the closures.
+//! In: sizes and closures. Out: images with the same bytes on any number of threads. This is so because the bands
+//! depend only on the height, each band is computed independently, and the results of the bands are collected or
+//! folded in index order. Cost: that of the closures.
 
 use rayon::prelude::*;
 use std::ops::Range;
@@ -19,7 +20,7 @@ pub struct Plane<T> {
 }
 
 impl<T> Plane<T> {
-    /// Returns a plane with the values of `data`, by rows.
+    /// Returns a plane with the values of `data`, which are in row-major order.
     ///
     /// # Panics
     /// If `data` does not have `width * height` values.
@@ -38,17 +39,17 @@ impl<T> Plane<T> {
         self.height
     }
 
-    /// All values, by rows.
+    /// All values, in row-major order.
     pub fn as_slice(&self) -> &[T] {
         &self.data
     }
 
-    /// All values, by rows.
+    /// All values, in row-major order.
     pub fn as_mut_slice(&mut self) -> &mut [T] {
         &mut self.data
     }
 
-    /// Converts the plane to its values, by rows.
+    /// Converts the plane to its values, in row-major order.
     pub fn into_vec(self) -> Vec<T> {
         self.data
     }
@@ -58,7 +59,7 @@ impl<T> Plane<T> {
         &self.data[y * self.width..(y + 1) * self.width]
     }
 
-    /// The values of rows `rows`.
+    /// The values of several rows, in row-major order.
     pub fn rows(&self, rows: Range<usize>) -> &[T] {
         &self.data[rows.start * self.width..rows.end * self.width]
     }
@@ -89,7 +90,7 @@ impl<T: Copy> Plane<T> {
 }
 
 impl<T: Copy + Sync> Plane<T> {
-    /// Returns the plane with `convert` applied to every value, computed in parallel by bands.
+    /// Returns the plane with `convert` applied to every value. The bands of rows are computed in parallel.
     pub fn map<U: Copy + Default + Send>(&self, convert: impl Fn(T) -> U + Sync) -> Plane<U> {
         Plane::from_rows(self.width, self.height, |y, row| {
             for (to, &from) in row.iter_mut().zip(self.row(y)) {
@@ -107,14 +108,14 @@ impl<T: Clone> Plane<T> {
 }
 
 impl<T: Copy + Default + Send> Plane<T> {
-    /// A plane whose rows are computed by `fill(y, row)`, in parallel by bands.
+    /// Returns a plane whose rows are computed with `fill(y, row)`. The bands of rows are computed in parallel.
     pub fn from_rows(width: usize, height: usize, fill: impl Fn(usize, &mut [T]) + Sync) -> Self {
         let mut plane = Plane::filled(width, height, T::default());
         plane.fill_rows(fill);
         plane
     }
 
-    /// Computes every row by `fill(y, row)`, in parallel by bands.
+    /// Computes every row with `fill(y, row)`. The bands of rows are computed in parallel.
     pub fn fill_rows(&mut self, fill: impl Fn(usize, &mut [T]) + Sync) {
         let width = self.width;
         self.fill_bands(|rows, band| {
@@ -124,12 +125,13 @@ impl<T: Copy + Default + Send> Plane<T> {
         });
     }
 
-    /// Computes every band by `fill(rows, values)`, in parallel.
+    /// Computes every band with `fill(rows, values)`, in parallel.
     pub fn fill_bands(&mut self, fill: impl Fn(Range<usize>, &mut [T]) + Sync) {
         self.fill_bands_with(|| (), |(), rows, values| fill(rows, values));
     }
 
-    /// As [`fill_bands`](Self::fill_bands), with buffers from `scratch` that are reused for several bands.
+    /// Like [`fill_bands`](Self::fill_bands), but `fill` also gets a buffer, which `scratch` creates and several bands
+    /// reuse.
     ///
     /// Results must not depend on the previous contents of the buffers.
     pub fn fill_bands_with<S>(
@@ -153,7 +155,7 @@ fn band_rows(band: usize, height: usize) -> Range<usize> {
     band * BAND_ROWS..((band + 1) * BAND_ROWS).min(height)
 }
 
-/// Returns the results of `map` for the rows of every band, in order; they are computed in parallel.
+/// Calls `map` with the rows of every band, in parallel, and returns the results in the order of the bands.
 pub fn map_bands<R: Send>(height: usize, map: impl Fn(Range<usize>) -> R + Sync) -> Vec<R> {
     (0..height.div_ceil(BAND_ROWS)).into_par_iter().map(|band| map(band_rows(band, height))).collect()
 }
@@ -168,8 +170,8 @@ pub fn map_at_once<R: Send>(count: usize, at_once: usize, map: impl Fn(usize) ->
     (0..count).step_by(at_once).flat_map(group).collect()
 }
 
-/// Folds the results of `map` for the rows of every band in index order, so that sums of floats are the same on any
-/// machine. `map` runs in parallel.
+/// Calls `map` with the rows of every band, in parallel, and folds the results in the order of the bands, so that sums
+/// of floats are the same on any machine.
 pub fn fold_bands<R: Send, A>(
     height: usize,
     map: impl Fn(Range<usize>) -> R + Sync,

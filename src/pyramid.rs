@@ -1,8 +1,8 @@
 //! Downsampling and smoothing of planes: 2x2 averages, the separable Gaussian and the binomial filter.
 //!
-//! In: a [`Plane`]. Out: a smaller or smoother one. Cost: the reduced levels of a pyramid together have a third of
-//! the pixels of the image; two passes, each of 2 ceil(4 sigma) + 1 multiply-adds per pixel for the Gaussian. Source:
-//! Ward 2003, section 2 (pyramid by averaging); Lowe 2004, section 3 (the Gaussian scale space is separable).
+//! In: a [`Plane`]. Out: a smaller or smoother plane. Cost: the reduced levels of a pyramid together have a third of
+//! the pixels of the image. The Gaussian takes two passes, each with 2 ceil(4 sigma) + 1 multiply-adds per pixel.
+//! Source: Ward 2003, section 2 (pyramid by averaging); Lowe 2004, section 3 (the Gaussian scale space is separable).
 
 pub(crate) mod burt_adelson;
 pub(crate) mod cells;
@@ -40,7 +40,7 @@ impl Loops for Halves<'_> {
     }
 }
 
-/// Returns the pyramid of `plane`, the largest level first; the short side of every other level is at least
+/// Returns the pyramid of `plane`, the largest level first. The short sides of all levels after the first are at least
 /// `least_side`.
 pub fn halves(plane: Plane<u8>, least_side: usize) -> Vec<Plane<u8>> {
     let mut levels = vec![plane];
@@ -97,8 +97,9 @@ pub fn gaussian(plane: &Plane<f32>, sigma: f64) -> Plane<f32> {
     smooth
 }
 
-/// Computes a row of a smoothed plane: first along the columns into `column`, which is extended by the reach of the
-/// kernel at both ends, then along the row.
+/// Computes a row of a smoothed plane in two passes. The first pass smooths along the columns into the buffer
+/// `column`, which is extended by the reach of the kernel at both ends. The second pass smooths this buffer along the
+/// row.
 struct SmoothRow<'a> {
     half: &'a [f32],
     above_and_below: &'a [&'a [f32]],
@@ -121,8 +122,9 @@ impl Loops for SmoothRow<'_> {
     }
 }
 
-/// Computes the weighted sum of `at(k)[x]` for every `x`, k from 0 to twice the reach of the kernel. The order of the
-/// sum is the centre, then pairs from there outwards.
+/// Computes, for every `x`, the sum of `at(k)[x]` times the weight of the kernel, over k from 0 to twice the reach of
+/// the kernel. It begins with the centre of the kernel, and then adds pairs at equal distances from the centre, from
+/// the inside outwards.
 #[inline(always)]
 fn weighted_sum<'a>(half: &[f32], out: &mut [f32], at: impl Fn(usize) -> &'a [f32]) {
     let (n, reach) = (out.len(), half.len() - 1);
@@ -130,7 +132,7 @@ fn weighted_sum<'a>(half: &[f32], out: &mut [f32], at: impl Fn(usize) -> &'a [f3
     for (o, v) in out.iter_mut().zip(at(reach)) {
         *o = half[0] * v;
     }
-    // Three pairs at a time, so that the sums are loaded and stored less often.
+    // Three pairs are added at a time, so that the sums are loaded and stored less often.
     let mut k = 1;
     while k + 2 <= reach {
         let ((p, a, b), (q, c, d), (r, e, f)) = (pair(k), pair(k + 1), pair(k + 2));
@@ -147,7 +149,7 @@ fn weighted_sum<'a>(half: &[f32], out: &mut [f32], at: impl Fn(usize) -> &'a [f3
     }
 }
 
-/// Looks up the plane's pixels in `table`, and smooths the result by the binomial kernel (1, 4, 6, 4, 1) / 16 along
+/// Looks up the plane's pixels in `table`, and smooths the result with the binomial kernel (1, 4, 6, 4, 1) / 16 along
 /// both axes.
 ///
 /// The standard deviation of the kernel is 1 pixel; the border is repeated (Burt & Adelson 1983).
@@ -171,8 +173,8 @@ pub fn binomial(plane: &Plane<u8>, table: &[f32; 256]) -> Plane<f32> {
     smooth
 }
 
-/// Computes a row of a plane smoothed by the binomial kernel: first along the columns into `column`, then along the
-/// row.
+/// Computes a row of a plane smoothed with the binomial kernel, in two passes: first along the columns into the buffer
+/// `column`, then along the row.
 struct BinomialRow<'a> {
     window: [&'a [f32]; 5],
     column: &'a mut [f32],
@@ -224,7 +226,7 @@ mod tests {
         for (width, height) in [(16, 2), (37, 5), (64, 4), (131, 7)] {
             let plane = Plane::from_rows(width, height, |y, row| {
                 for (x, v) in row.iter_mut().enumerate() {
-                    // Includes black and white, so that a carry into a neighbour would be found.
+                    // The values include 0 and 255, so that a carry of a sum into a neighbouring pixel would be found.
                     *v = ((x * 97 + y * 61) % 260).saturating_sub(4).min(255) as u8;
                 }
             });
@@ -272,7 +274,7 @@ mod tests {
                             weight += g(dx) * g(dy);
                         }
                     }
-                    // At most 2 x 17 roundings of values below 32 in single precision: 34 * 32 * 2^-24 = 6.5e-5.
+                    // Two passes of 17 weights round f32 values below 32 at most 34 times: 34 * 32 * 2^-24 = 6.5e-5.
                     assert!((f64::from(fast.at(x as usize, y as usize)) - sum / weight).abs() < 6.5e-5);
                 }
             }
@@ -298,7 +300,7 @@ mod tests {
                         sum += wx * wy / 256.0 * f64::from(table[usize::from(plane.at(u as usize, v as usize))]);
                     }
                 }
-                // About ten roundings of values below 256 in single precision: 10 * 256 * 2^-24 = 1.5e-4.
+                // Two passes of 5 weights round f32 values below 256 about ten times: 10 * 256 * 2^-24 = 1.5e-4.
                 assert!((f64::from(fast.at(x as usize, y as usize)) - sum).abs() < 2e-4);
             }
         }

@@ -1,8 +1,8 @@
 //! Scratch files: temporary storage for values that do not fit into the memory limit.
 //!
 //! In: values, and a folder with enough space. Out: any part of these values. Cost: that of the system's file cache,
-//! some GB/s while it has space. Where the system supports it, the file has no name, and so disappears with the process
-//! in any case.
+//! some GB/s while it has space. Where the system supports it, the file has no name, so the system deletes it when the
+//! process ends, even after a crash.
 
 use crate::error::{Error, Result};
 use bytemuck::Pod;
@@ -22,8 +22,8 @@ pub struct MemoryLimit {
 }
 
 impl MemoryLimit {
-    /// Bytes of the program, its tables, and the memory that the allocator keeps between stages, as measured. The
-    /// memory of worker threads is not included.
+    /// Memory, in bytes, for the program, its tables, and what the allocator keeps between stages. Measured; the memory
+    /// of worker threads is not included.
     pub const PROGRAM: u64 = 24 << 20;
 
     /// Bytes available for pixels.
@@ -45,7 +45,7 @@ impl Scratch {
     /// # Errors
     /// [`Error::Scratch`] if the file cannot be created.
     pub fn in_folder(folder: &Path) -> Result<Arc<Self>> {
-        // The parent of a file name without a folder is empty.
+        // `Path::parent` of a file name without a folder is the empty path, which here means the current folder.
         let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
         let folder = folder.to_owned();
         match tempfile::tempfile_in(&folder) {
@@ -69,7 +69,7 @@ impl Scratch {
     }
 
     fn with_file<R>(&self, work: impl FnOnce(&mut File) -> std::io::Result<R>) -> Result<R> {
-        // Every access seeks first, so the file remains usable after a panic elsewhere.
+        // Every access seeks first, so the file can still be used after another thread panicked during its access.
         let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
         work(&mut file).map_err(|source| Error::Scratch { folder: self.folder.clone(), source })
     }

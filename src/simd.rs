@@ -1,7 +1,7 @@
 //! Vector instructions: selects code for the instruction set of the processor.
 //!
-//! In: [`Loops`] over slices. Out: their result, computed by code compiled for the widest vectors of this processor
-//! (AVX-512 or AVX2 on x86-64, NEON on 64-bit ARM), or by scalar code. Cost: a few nanoseconds per call, so a call
+//! In: [`Loops`] over slices. Out: their result. The code that computes it is compiled for the widest vectors of this
+//! processor (AVX-512 or AVX2 on x86-64, NEON on 64-bit ARM), or is scalar. Cost: a few nanoseconds per call, so a call
 //! should process at least a row.
 //!
 //! The arms, one for each instruction set, differ only in speed: Rust neither reorders sums of floats nor fuses
@@ -32,7 +32,7 @@ impl Arm {
     /// All arms, in the order of their discriminants; this processor may not support all of them (see [`choose`]).
     pub const ALL: [Arm; 5] = [Arm::Native, Arm::Avx512, Arm::Avx2, Arm::Neon, Arm::Scalar];
 
-    /// Returns the corresponding value of the crate `pulp`; none if this processor does not support the arm.
+    /// Returns this arm as a value of the crate `pulp`, or `None` if this processor does not support it.
     #[inline]
     fn arch(self) -> Option<Arch> {
         match self {
@@ -97,9 +97,9 @@ impl<L: Loops> NullaryFnOnce for Native<L> {
     }
 }
 
-/// 2^23 for `f32`, 2^52 for `f64`: from there on, all floats are integers. If a smaller number is added, the last bits
-/// of the sum are that number, rounded to an integer. This replaces Rust's saturating casts, for which there are no
-/// vector instructions.
+/// The limit from which on all floats are integers: 2^23 for `f32`, 2^52 for `f64`. If a smaller positive number is
+/// added to the limit, the sum is rounded to an integer, and the low bits of the sum are the number, rounded. This
+/// addition replaces Rust's saturating casts, for which there are no vector instructions.
 const WHOLE: (f32, f64) = (8_388_608.0, 4_503_599_627_370_496.0);
 
 /// Returns `value` rounded down; `value` must be in 0..2^22.
@@ -109,7 +109,7 @@ pub fn floor32(value: f32) -> f32 {
     if near > value { near - 1.0 } else { near }
 }
 
-/// Converts `whole`, which must be an integer in 0..2^23.
+/// Converts `whole`, which must be an integer in 0..2^23, to `u32`.
 #[inline(always)]
 pub fn integer32(whole: f32) -> u32 {
     (whole + WHOLE.0).to_bits() & 0x7f_ffff
@@ -122,7 +122,7 @@ pub fn floor64(value: f64) -> f64 {
     if near > value { near - 1.0 } else { near }
 }
 
-/// Converts `whole`, which must be an integer in 0..2^52.
+/// Converts `whole`, which must be an integer in 0..2^52, to `u64`.
 #[inline(always)]
 pub fn integer64(whole: f64) -> u64 {
     (whole + WHOLE.1).to_bits() & ((1 << 52) - 1)
@@ -162,10 +162,11 @@ const ROOT_OF_HALF: u32 = 0x3f35_04f3;
 /// Returns 2 to the power of `value`, which must be in -126..=127, with a relative error of at most 3e-7.
 #[inline(always)]
 pub fn exp2(value: f32) -> f32 {
-    // 2^value = 2^e 2^f with |f| <= 1/2, so that the series of the exponential is short; 127 is the exponent's bias.
+    // 2^value = 2^e 2^f with an integer e and |f| <= 1/2, so that the series of the exponential is short. `biased` is e
+    // plus 127, the exponent as a float stores it.
     let biased = floor32(value + 127.5);
     let x = (value - (biased - 127.0)) * std::f32::consts::LN_2;
-    // The series of the exponential; |x| < 0.347: the truncation error is below 1.3e-7.
+    // The series of the exponential up to the sixth power of x. As |x| < 0.347, the truncation error is below 1.3e-7.
     let high = 1.0 / 6.0 + x * (1.0 / 24.0 + x * (1.0 / 120.0 + x * (1.0 / 720.0)));
     let series = 1.0 + x * (1.0 + x * (0.5 + x * high));
     f32::from_bits(integer32(biased) << 23) * series
@@ -176,10 +177,10 @@ pub fn exp2(value: f32) -> f32 {
 pub fn atan2(y: f32, x: f32) -> f32 {
     let (ax, ay) = (x.abs(), y.abs());
     let (low, high) = if ax < ay { (ax, ay) } else { (ay, ax) };
-    // The least normal number as least divisor avoids 0 / 0 and changes nothing else.
+    // The divisor is at least the smallest normal number, which avoids 0 / 0.
     let a = low / if high > f32::MIN_POSITIVE { high } else { f32::MIN_POSITIVE };
     let s = a * a;
-    // Odd minimax polynomial of atan on 0..=1.
+    // This odd polynomial is the minimax approximation of atan on 0..=1.
     let r = ((-0.046_496_473 * s + 0.159_314_22) * s - 0.327_622_76) * s * a + a;
     let r = if ay > ax { FRAC_PI_2 - r } else { r };
     let r = if x < 0.0 { PI - r } else { r };

@@ -1,31 +1,34 @@
 //! Order statistics and robust weights, used by all stages.
 //!
-//! In: values in any order. Out: the value of a rank, the median; weights. Cost: a few ns per value. Source: Hoare
-//! 1961, "Algorithm 65: find"; Beaton & Tukey 1974, "The fitting of power series" (the biweight).
+//! In: values in any order. Out: the value of a given rank, the median, weights, pseudo-random numbers. Cost: a few ns
+//! per value. Source: Hoare 1961, "Algorithm 65: find"; Beaton & Tukey 1974, "The fitting of power series" (the
+//! biweight).
 
-/// Returns the value with rank `rank` (0 for the smallest) in the total order of floats; none if there are not enough
-/// `values`.
+/// Returns the value with rank `rank` (0 for the smallest) in the total order of floats, or `None` if there are not
+/// enough `values`.
 pub fn of_rank<T: Copy + Into<f64>>(values: impl IntoIterator<Item = T>, rank: usize) -> Option<T> {
     let mut values: Vec<T> = values.into_iter().collect();
     let order = |a: &T, b: &T| (*a).into().total_cmp(&(*b).into());
     (rank < values.len()).then(|| *values.select_nth_unstable_by(rank, order).1)
 }
 
-/// Returns the median of `values`; the upper of the two middle values if their number is even; none if there are no
-/// values.
+/// Returns the median of `values`, or `None` if there are no values. If the number of values is even, the median is the
+/// upper of the two middle values.
 pub fn median<T: Copy + Into<f64>>(values: impl IntoIterator<Item = T>) -> Option<T> {
     let values: Vec<T> = values.into_iter().collect();
     let middle = values.len() / 2;
     of_rank(values, middle)
 }
 
-/// Median absolute deviation of a normal distribution, in standard deviations: the normal quantile of 3/4.
+/// Median absolute deviation of a normal distribution, in standard deviations: the 3/4 quantile of the standard normal
+/// distribution.
 pub const MEDIAN_DEVIATION: f64 = 0.6745;
 
-/// Reach of Tukey's biweight, in standard deviations, at which it is 95 % efficient on normal noise.
+/// Residual, in standard deviations, from which on Tukey's biweight is 0. With this value the biweight is 95 %
+/// efficient on normal noise.
 pub const TUKEY: f64 = 4.685;
 
-/// The median of the squared length of a normal vector in the plane, in units of its variance along an axis: 2 ln 2.
+/// Median of the squared length of a normal vector in the plane, in units of the variance of one component: 2 ln 2.
 pub const MEDIAN_SQUARE: f64 = 1.386;
 
 /// Returns Tukey's biweight of `t`, a residual divided by the largest residual that counts: 1 for 0; 0 for |t| >= 1 and
@@ -35,8 +38,8 @@ pub fn biweight(t: f64) -> f64 {
     inside * inside
 }
 
-/// Returns a random number that depends only on seed, trial and draw, by the finaliser of SplitMix64 (Steele, Lea &
-/// Flood 2014).
+/// Returns a pseudo-random number that depends only on `seed`, `trial` and `draw`, by the finaliser of SplitMix64
+/// (Steele, Lea & Flood 2014).
 pub fn random(seed: u64, trial: u64, draw: u64) -> u64 {
     let mut z = seed ^ (trial << 16 | draw).wrapping_mul(0x9E37_79B9_7F4A_7C15);
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);

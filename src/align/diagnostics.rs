@@ -1,11 +1,11 @@
 //! Diagnostics of an alignment, for `inspect` and the report page.
 //!
-//! In: the grey pyramids of the reference and a frame, and the transform that was found. Out: the bitmaps, with the
-//! share of pixels that differ as the frame is rotated and shifted; the keypoints; the matches of each kind of keypoint
-//! and which of them are inliers. Cost: that of the bitmap search and of the features, some tenths of a second per
-//! frame. The diagnostics do not influence [`align`](crate::align::align). Source: Ward 2003, section 2; Lowe 2004,
-//! section 7.1; tables 4.1 to 4.3 of the thesis, which compare keypoints of the grey picture, of the bitmap and of
-//! both.
+//! In: the grey pyramids of the reference and a frame, and the transform that was found. Out: the bitmaps; the share of
+//! their pixels that differ, as a function of the rotation and the shift of the frame; the keypoints; the matches of
+//! each kind of keypoint, and which of the matches are inliers. Cost: that of the bitmap search and of the features,
+//! some tenths of a second per frame. The diagnostics do not influence [`align`](crate::align::align). Source: Ward
+//! 2003, section 2; Lowe 2004, section 7.1; the thesis whose tables 4.1 to 4.3 `inspect` repeats for any bracket: they
+//! compare keypoints of the grey picture, of the bitmap and of both.
 
 use crate::align::AlignOptions;
 use crate::align::bitmaps;
@@ -22,7 +22,7 @@ use rayon::prelude::*;
 /// The bitmaps of one frame, on the level on which agreement is measured.
 #[derive(Debug, Clone)]
 pub struct FrameBitmaps {
-    /// The threshold's percentile.
+    /// The percentile of the grey values that is the threshold.
     pub percentile: Percentile,
     /// The threshold, and the grey values around it that are excluded.
     pub zone: Zone,
@@ -33,14 +33,14 @@ pub struct FrameBitmaps {
 }
 
 impl FrameBitmaps {
-    /// Computes the bitmaps of `frame` at the percentile at which it is compared with `reference`, which may be the
-    /// same frame.
+    /// Computes the bitmaps of `frame`, at the percentile that is used to compare `frame` with `reference`. Both may be
+    /// the same frame.
     pub fn new(reference: &GreyPyramid, frame: &GreyPyramid, options: &AlignOptions) -> Self {
         let [_, frame] = Self::pair(reference, frame, options);
         frame
     }
 
-    /// Computes the bitmaps of both frames, as in the search.
+    /// Computes the bitmaps of both frames in the same way as the bitmap search.
     fn pair(reference: &GreyPyramid, frame: &GreyPyramid, options: &AlignOptions) -> [Self; 2] {
         let level = measured_level(reference);
         let pair = bitmaps::BitmapPair::new(reference, frame, level, options.mtb.exclusion);
@@ -65,14 +65,14 @@ impl FrameBitmaps {
 /// The share of differing pixels as a function of one parameter of the motion.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Curve {
-    /// The motions, rising: degrees for a rotation, pixels of the full size for a shift.
+    /// The values of the parameter, in ascending order: degrees for a rotation, pixels of the full size for a shift.
     pub at: Vec<f64>,
-    /// For each motion, the share of the compared pixels that differ, 0..=1.
+    /// For each value in `at`, the share of the compared pixels that differ, 0..=1.
     pub share: Vec<f64>,
 }
 
 impl Curve {
-    /// Returns the motion with the smallest share; if several have it, the first.
+    /// Returns the value of the parameter with the smallest share of differing pixels; if several have it, the first.
     pub fn lowest(&self) -> f64 {
         let best = self.at.iter().zip(&self.share).reduce(|best, here| if here.1 < best.1 { here } else { best });
         best.map_or(0.0, |(at, _)| *at)
@@ -85,28 +85,30 @@ pub struct XorCurves {
     /// The motion at the centre of the curves: shift right and down in pixels of the full size, and rotation in
     /// degrees.
     pub centre: [f64; 3],
-    /// The share that differs without motion.
+    /// The share of the compared pixels that differ without motion, 0..=1.
     pub before: f64,
-    /// The share that differs at the estimated motion.
+    /// The share of the compared pixels that differ at the estimated motion, 0..=1.
     pub after: f64,
-    /// The share as a function of the rotation; the shift is the estimated one.
+    /// The share of differing pixels as a function of the rotation; the shift is the estimated one.
     pub by_angle: Curve,
-    /// The share as a function of the shift to the right; the rotation and the shift downwards are the estimated ones.
+    /// The share of differing pixels as a function of the shift to the right; the rotation and the shift downwards are
+    /// the estimated ones.
     pub by_dx: Curve,
-    /// The share as a function of the shift downwards; the rotation and the shift to the right are the estimated ones.
+    /// The share of differing pixels as a function of the shift downwards; the rotation and the shift to the right are
+    /// the estimated ones.
     pub by_dy: Curve,
 }
 
-/// Step of the rotation over the whole range, in degrees. Up to [`FINE_REACH`] degrees from the estimated motion, it is
-/// [`FINE_ANGLE_STEP`].
+/// Step between the angles of the curve, in degrees. Within [`FINE_REACH`] degrees of the estimated angle, steps of
+/// [`FINE_ANGLE_STEP`] degrees are added.
 const ANGLE_STEP: f64 = 0.1;
 const FINE_ANGLE_STEP: f64 = 0.02;
 const FINE_REACH: f64 = 0.4;
 /// Largest shift from the estimated motion, left, right, up and down, in pixels of the pyramid level.
 const SHIFT_REACH: i64 = 40;
 
-/// Computes the share of pixels that differ when `frame` is rotated and shifted around the motion of `transform`;
-/// without a `transform`, around the result of a bitmap search.
+/// Computes the share of pixels that differ, as a function of the rotation and the shift of `frame`. The curves are
+/// centred at the motion of `transform`, or, if there is none, at the result of a bitmap search.
 pub fn xor_curves(
     reference: &GreyPyramid,
     frame: &GreyPyramid,
@@ -144,7 +146,8 @@ pub fn xor_curves(
     }
 }
 
-/// Returns angles over the whole range searched, in degrees, closer together near `found`, which is one of them.
+/// Returns the angles of the curve, in degrees: they cover at least the range of the bitmap search (`most` in either
+/// direction), and are closer together near the angle `found`, which is one of them.
 fn angles(found: f64, most: f64) -> Vec<f64> {
     let reach = most.max(1.0).max(1.2 * found.abs());
     let coarse = (reach / ANGLE_STEP).floor() as i64;
@@ -156,14 +159,14 @@ fn angles(found: f64, most: f64) -> Vec<f64> {
     all
 }
 
-/// Which keypoints are matched.
+/// The kind of the keypoints that are matched.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FeatureKind {
     /// Keypoints of the grey picture.
     Plain,
     /// Keypoints of the median threshold bitmaps of the picture.
     Mtb,
-    /// Keypoints of both, each kind matched only with its own kind.
+    /// Keypoints of the grey picture and of its bitmaps; each kind is matched only with its own kind.
     Merged,
 }
 
@@ -186,7 +189,7 @@ impl FrameFeatures {
         }
     }
 
-    /// Returns an empty set of features of `frame`, for use where features are not needed.
+    /// Returns an empty set of features for `frame`, for callers that do not need features.
     pub fn none(frame: &GreyPyramid) -> Self {
         let level = measured_level(frame);
         let sets = FeatureSets { plain: Features::default(), mtb: Vec::new(), counts: KeypointCounts::default() };
@@ -213,15 +216,15 @@ impl FrameFeatures {
         [self.sets.plain.keypoints.iter().map(full).collect(), self.sets.of_bitmaps().iter().map(full).collect()]
     }
 
-    /// Returns whether each keypoint of the grey picture is also in a bitmap, and whether each keypoint of the bitmaps
-    /// is also in the grey picture: within a pixel of the level and with a similar scale, as in
-    /// [`counts`](Self::counts).
+    /// For each keypoint of the grey picture, returns whether it is also a keypoint of a bitmap; for each keypoint of
+    /// the bitmaps, whether it is also one of the grey picture. Two keypoints are the same if they are within a pixel
+    /// of the level and have a similar scale, as in [`counts`](Self::counts).
     pub fn found_twice(&self) -> [Vec<bool>; 2] {
         let (plain, bitmaps) = (&self.sets.plain.keypoints, self.sets.of_bitmaps());
         [features::found_among(plain, &bitmaps), features::found_among(&bitmaps, plain)]
     }
 
-    /// Returns the features of one kind.
+    /// Returns these features with only the keypoints of one kind.
     fn only(&self, kind: FeatureKind) -> FeatureSets {
         let (plain, mtb) = match kind {
             FeatureKind::Plain => (self.sets.plain.clone(), vec![Features::default(); self.sets.mtb.len()]),
@@ -239,12 +242,12 @@ pub struct Matching {
     pub pairs: Vec<PointPair>,
     /// Whether each pair is an inlier of the robust estimator.
     pub inlier: Vec<bool>,
-    /// The transform of the inliers; none if the matches do not agree on one.
+    /// The transform fitted to the inliers; none if the matches do not agree on one.
     pub transform: Option<Transform>,
 }
 
 impl Matching {
-    /// The number of inliers.
+    /// Returns the number of inliers.
     pub fn inliers(&self) -> usize {
         self.inlier.iter().filter(|i| **i).count()
     }
@@ -293,8 +296,9 @@ mod tests {
         let truth = rigid(9.0, -6.0, 1.7);
         let [reference, frame] = pair(&truth);
         let curves = xor_curves(&reference, &frame, Some(truth), &AlignOptions::default());
-        // The positions of bitmaps are rounded to pixels. Two angles can be distinguished if they displace pixels at
-        // the rim, 150 px from the centre, by half a pixel or more relative to each other: by 0.2 degrees.
+        // Positions in bitmaps are rounded to whole pixels. Therefore two angles can be distinguished only if a pixel
+        // at the rim, 150 px from the centre, has positions under them that are half a pixel or more apart. This is a
+        // difference of 0.2 degrees.
         assert!((curves.by_angle.lowest() - 1.7).abs() <= 0.2, "{}", curves.by_angle.lowest());
         assert!((curves.by_dx.lowest() - 9.0).abs() <= 1.0 && (curves.by_dy.lowest() + 6.0).abs() <= 1.0);
         assert!(curves.after < 0.3 * curves.before, "{} {}", curves.after, curves.before);
@@ -336,8 +340,8 @@ mod tests {
         let h = truth.matrix(SIZE.0, SIZE.1);
         let off = |p: &PointPair| distance_squared(&h, p).sqrt();
         for (pair, inlier) in merged.pairs.iter().zip(&merged.inlier) {
-            // Inliers are within the threshold of the motion that was found, which has an error of less than a pixel
-            // itself.
+            // Inliers are within the threshold of the motion that was found. That motion has itself an error of less
+            // than a pixel, which is added to the limit.
             assert!(!inlier || off(pair) < options.ransac.threshold + 1.0);
         }
         assert!(distance_px(&truth, &merged.transform.unwrap(), SIZE) < 1.0);

@@ -2,25 +2,28 @@
 //!
 //! In: a [`Bracket`]. Out: an [`Alignment`]: for each frame a [`Placement`] with the transform of the smallest
 //! sufficient [`Model`], always directly to the reference. Cost: if the first method suffices, about 0.1 s of one core
-//! for a frame of 1.5 MP and 0.3 s for one of 8 MP; up to ten times as much for a difficult frame.
+//! for a frame of 1.5 MP and 0.3 s for a frame of 8 MP; up to ten times as much for a difficult frame.
 //!
-//! The sub-modules; each uses only those above it in this list:
+//! The sub-modules. Each uses only modules that come before it in this list, or in the same item:
 //!
-//! 1. `transform`: transforms and their models. `result`: what the alignment returns.
+//! 1. `transform`: transforms and their models. `result`: the types that the alignment returns.
 //! 2. [`grey`]: grey pyramids. [`resampling`]: interpolation kernels, and resampling of rows. [`photometric`]:
 //!    conversion of two frames to a common exposure.
 //! 3. [`bitmaps`]: median threshold bitmaps (Ward 2003). [`features`]: SIFT, SURF, matching, RANSAC, LMedS. These two
 //!    modules do not use each other.
-//! 4. [`refinement`]: Lucas & Kanade's alignment of pixels. [`agreement`]: the check of a transform, tile by tile.
+//! 4. [`refinement`]: Lucas & Kanade's iterative alignment on the pixels. [`agreement`]: the check of a transform, tile
+//!    by tile.
 //! 5. [`preset`] and [`transforms_file`]: transforms that are not estimated, and their file.
-//! 6. `local`: the parts of the picture that a transform does not fit.
-//! 7. `ladder`: the order of the methods, and the choice among what they find. `diagnostics`: what `inspect` shows.
+//! 6. `local`: finds the parts of the picture that a transform does not fit.
+//! 7. `ladder`: the order of the methods, and the choice among the transforms that they find. `diagnostics`: the data
+//!    that the command `inspect` shows.
 //!
 //! The mode `auto` tries methods from the cheapest to the most expensive, and stops as soon as the tiles of the picture
-//! agree. The methods are: bitmaps against the reference, refined on the pixels; bitmaps against a neighbour in
-//! exposure; features; the other minima of the bitmap search. Every estimate is refined and then checked by
-//! [`agreement`]. Exceptions: transforms inferred from other frames ([assumed](Placement::Assumed)), frames that are
-//! left unmoved, and the dominant motion, which is fitted afterwards to the displacements of small patches (`local`).
+//! agree with the transform. The methods are: comparison of bitmaps with the reference; comparison of bitmaps with a
+//! neighbour in exposure; features; the other minima of the bitmap search. Every transform found is refined on the
+//! pixels and then checked by [`agreement`]. There are three exceptions: transforms inferred from other frames
+//! ([assumed](Placement::Assumed)), frames that are left unmoved, and the dominant motion, which is fitted afterwards
+//! to the displacements of small patches (`local`).
 
 #[doc(hidden)]
 pub mod agreement;
@@ -91,12 +94,12 @@ pub struct AlignOptions {
     pub sift: SiftOptions,
     /// Options of SURF.
     pub surf: SurfOptions,
-    /// Largest ratio that a match may have: the distance of its two descriptors, divided by the distance to the second
-    /// nearest descriptor (Lowe 2004, section 7.1).
+    /// Largest ratio at which a match is accepted. The ratio is the distance of a descriptor to the nearest descriptor
+    /// of the other frame, divided by its distance to the second nearest (Lowe 2004, section 7.1).
     pub ratio: f64,
     /// Transforms that are preset instead of estimated; if a frame has several, the first is used.
     pub given: Vec<Preset>,
-    /// The robust estimator.
+    /// The robust estimator that separates inliers from wrong matches.
     pub robust: RobustMethod,
     /// Options of the robust estimator; the threshold is in pixels of the pyramid level on which features are detected.
     pub ransac: RansacOptions,
@@ -166,9 +169,9 @@ impl AlignOptions {
 /// Aligns every frame of `bracket` to its reference.
 ///
 /// # Errors
-/// [`Error::Option`] where an option is out of range; [`Error::NoOverlap`] where the placed frames have no pixel in
-/// common; [`Error::Scratch`]. A frame that cannot be aligned is not an error: it is [rejected](Placement::Rejected)
-/// with a warning.
+/// [`Error::Option`] if an option is out of range; [`Error::NoOverlap`] if the placed frames have no pixel in common;
+/// [`Error::Scratch`] if a frame on disk cannot be read. A frame that cannot be aligned is not an error: it is
+/// [rejected](Placement::Rejected) with a warning.
 pub fn align(bracket: &Bracket, options: &AlignOptions) -> Result<(Alignment, Vec<Warning>)> {
     options.validate()?;
     let given = preset::given(bracket, &options.given)?;

@@ -1,4 +1,5 @@
-//! Preset transforms: not estimated, but given by the user for single frames, or by a file of transforms.
+//! Preset transforms: those that are not estimated, but given by the user for single frames, or read from a file of
+//! transforms.
 //!
 //! In: [`Preset`]s, each of which names a frame. Out: the placements of these frames of a bracket. Cost: negligible.
 
@@ -11,7 +12,7 @@ use std::path::PathBuf;
 /// A frame whose transform is preset.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Preset {
-    /// The file of the frame, or the name of the file.
+    /// The path of the frame's file, or only the file's name.
     pub path: PathBuf,
     /// What is preset: a transform, or the exclusion of the frame.
     pub place: PresetTransform,
@@ -29,7 +30,7 @@ pub enum PresetTransform {
 }
 
 impl PresetTransform {
-    /// Returns the placement, and the numbers of keypoints and inliers.
+    /// Returns the placement, and the numbers of keypoints and inliers if they are known.
     pub(crate) fn found(&self) -> Found {
         let placement = match self {
             PresetTransform::Known(placement, features) => return (Placement::clone(placement), *features),

@@ -16,7 +16,7 @@ pub(crate) struct Scene {
 /// 117, and radiance 5.6 is clipped.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Shot {
-    /// Exposure.
+    /// Exposure, in EV.
     pub(crate) ev: f64,
     /// Standard deviation of the noise, in code values, before rounding.
     pub(crate) noise: f64,
@@ -30,8 +30,8 @@ impl Shot {
     }
 }
 
-/// Lattice spacing in pixels, and weight in stops, of each layer of noise. The finest layer has features of about 5 px,
-/// so it is well sampled.
+/// The layers of noise that are added up to the scene: for each, the spacing of its lattice in pixels, and its weight
+/// in stops. The finest layer has features of about 5 px, which the pixels sample well.
 const LAYERS: [(f64, f64); 5] = [(150.0, 2.0), (61.0, 2.0), (27.0, 1.7), (12.0, 1.2), (5.3, 0.7)];
 
 impl Scene {
@@ -39,7 +39,7 @@ impl Scene {
         Scene { seed }
     }
 
-    /// Returns the radiance at (x, y): from about 2^-4 to 2^5, with a median of about 1.
+    /// Returns the radiance at (x, y). It is within about 2^-4 to 2^5, with a median of about 1.
     pub(crate) fn radiance(&self, x: f64, y: f64) -> f64 {
         let mut stops = 0.0;
         for (k, (spacing, weight)) in LAYERS.iter().enumerate() {
@@ -88,13 +88,13 @@ pub(crate) fn photograph(
             // deviation of 1 / sqrt(3).
             let sum: f64 = (0..4).map(|k| uniform(shot.seed.wrapping_mul(77) + k, x as i64, y as i64) - 0.5).sum();
             let noisy = code + shot.noise * sum * 3f64.sqrt();
-            // A clipped pixel is clipped whatever its noise.
+            // A clipped pixel has the value 255, whatever its noise.
             *v = if code >= 255.0 { 255 } else { noisy.round().clamp(0.0, 255.0) as u8 };
         }
     })
 }
 
-/// Returns a pseudorandom number in 0..1 that depends only on the arguments (the mixing function of SplitMix64).
+/// Returns a pseudorandom number in 0..1 that depends only on the arguments, by the mixing function of SplitMix64.
 pub(crate) fn uniform(seed: u64, i: i64, j: i64) -> f64 {
     let mut z = seed
         .wrapping_mul(0x9E37_79B9_7F4A_7C15)
@@ -115,8 +115,8 @@ pub(crate) fn rigid(dx: f64, dy: f64, degrees: f64) -> Transform {
     Transform::Rigid { dx, dy, angle: degrees.to_radians() }
 }
 
-/// Returns a perspective transform that moves the four corners of a picture of some hundred pixels by different
-/// displacements of some pixels.
+/// Returns a perspective transform. It displaces the four corners of a picture with sides of some hundred pixels by
+/// some pixels, each corner differently.
 pub(crate) fn perspective() -> Transform {
     Transform::Homography(nalgebra::Matrix3::new(1.004, 0.006, -2.3, -0.005, 0.997, 3.1, 1.2e-5, -1.6e-5, 1.0))
 }

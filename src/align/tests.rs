@@ -15,8 +15,8 @@ fn frame(name: &str, grey: &Plane<u8>, ev: f64) -> Frame {
     Frame::new(name.into(), grey.width(), grey.height(), Samples::Eight(codes), Exposure::given(ev).unwrap())
 }
 
-/// Returns a bracket of the scene, with a frame for each transform and exposure in EV; the first of `shots` is the
-/// reference.
+/// Returns a bracket with a photograph of the test scene for each of `shots`, each a transform and an exposure in EV.
+/// The first of `shots` is the reference.
 fn bracket(shots: &[(Transform, f64)]) -> Bracket {
     let frames = shots
         .iter()
@@ -85,8 +85,9 @@ fn frame_of_another_scene_is_rejected_with_a_warning() {
     assert!(alignment.overlap.width() > 375 && alignment.overlap.height() > 248);
 }
 
-/// Exposure, in EV, of a frame without usable detail. The lights have a radiance of 2^5 (`Scene::radiance`); at -16 EV
-/// their code value is 255 (0.18 * 2^(5 - 16))^(1 / 2.2) = 4, too little to compare tiles.
+/// Exposure, in EV, of a frame without usable detail. The brightest parts of the scene have a radiance of 2^5
+/// (`Scene::radiance`). At -16 EV their code value is 255 (0.18 * 2^(5 - 16))^(1 / 2.2) = 4, which is too little to
+/// compare tiles.
 const NEARLY_BLACK: f64 = -16.0;
 
 #[test]
@@ -149,8 +150,9 @@ fn frames_without_alignment_are_not_moved() {
 fn each_method_by_itself_finds_the_motion() {
     let truth = rigid(7.0, -5.0, 0.6);
     let bracket = bracket(&[(Transform::Identity, 0.0), (truth, 1.0)]);
-    // Bitmaps are precise to 0.3 px and 0.02 degrees, which is 0.08 px at the corners, 230 px from the centre. The
-    // position of a keypoint has an error of about 0.6 px.
+    // The limit of the bitmaps is larger than the sum of two errors: 0.3 px of the shift, and 0.02 degrees of the
+    // rotation, which is 0.08 px at the corners, 230 px from the centre. The limit of the features follows from the
+    // position of a keypoint, which has an error of about 0.6 px.
     for (mode, tolerance) in [(AlignMode::Mtb, 0.6), (AlignMode::Sift, 1.5), (AlignMode::Surf, 1.5)] {
         let (alignment, _) = align(&bracket, &AlignOptions { mode, ..AlignOptions::default() }).unwrap();
         let error = alignment.placements[1].transform().unwrap().corner_distance(&truth, SIZE.0, SIZE.1);
@@ -212,7 +214,7 @@ fn small_overlap_warns_and_no_overlap_fails() {
         let given = [1, 2].map(|i| Preset { path: format!("{i}").into(), place: place(shifts[i - 1]) }).to_vec();
         super::align(&bracket, &AlignOptions { given, ..AlignOptions::default() })
     };
-    // The frames are 384 pixels wide; an overlap of half the width causes no warning.
+    // The frames are 384 pixels wide. A shift by half the width leaves an overlap of one half, which causes no warning.
     assert_eq!(align([-192.0, 0.0]).unwrap().1, []);
     for sign in [-1.0, 1.0] {
         let (alignment, warnings) = align([sign * 10.0, sign * 288.0]).unwrap();
@@ -231,9 +233,9 @@ fn small_overlap_warns_and_no_overlap_fails() {
 
 #[test]
 fn frame_beyond_a_rejected_one_is_placed_by_the_nearest_that_was() {
-    // The reference (-7 EV) and the brightest frame (7 EV) are 14 stops apart and have too little in common. With
-    // `middle` (0 EV) in the bracket, the brightest frame is aligned to `middle`, its nearest placed neighbour in
-    // exposure.
+    // The reference (-7 EV) and `bright` (7 EV) are 14 stops apart and have too little in common to be aligned
+    // directly. If `middle` (0 EV) is in the bracket, `bright` is aligned to `middle`, its nearest placed neighbour in
+    // exposure; `stranger` (2 EV), which is nearer, is rejected.
     let truth = shift(11.0, -7.0);
     let take = |name: &str, seed, transform: &Transform, ev| {
         frame(name, &Scene::new(seed).photograph(SIZE, transform, Shot::at(ev)), ev)

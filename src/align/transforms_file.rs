@@ -1,7 +1,7 @@
-//! The file of transforms: an alignment that is saved to be used again.
+//! The file of transforms: a saved alignment that can be used again.
 //!
-//! In and out: [`SavedAlignment`], the placements of a bracket, and JSON of the schema `hdralign-transforms/1`. All
-//! numbers are read exactly as they were written. Cost: negligible.
+//! Converts the placements of a bracket ([`SavedAlignment`]) to JSON of the schema `hdralign-transforms/1`, and back.
+//! No digit of a number is lost when it is written and read. Cost: negligible.
 //!
 //! ```json
 //! { "schema": "hdralign-transforms/1", "width_px": 4000, "height_px": 3000, "reference": "IMG_2.jpg", "frames": [
@@ -9,11 +9,11 @@
 //!     "error_px": 0.02, "confidence": 0.98, "inliers": null, "keypoints": null, "reason": null } ] }
 //! ```
 //!
-//! `homography` holds nine numbers by rows, reference pixel -> frame pixel, (0, 0) the centre of the top-left pixel;
-//! null for a frame that is `rejected`. For such a frame `rejected_by` is `alignment`, `user` or `flash`; otherwise it
-//! is null. Older files lack this key: there, a rejected frame with confidence 1 was excluded by the user. A frame that
-//! is `assumed` is merged as [`Placement::Assumed`]. A transform without `confidence` was set by the user, and has
-//! confidence 1.
+//! `homography` holds the nine numbers of the matrix that maps a reference pixel to a frame pixel, row by row; (0, 0)
+//! is the centre of the top-left pixel. If `status` is `rejected`, `homography` is null, and `rejected_by` is
+//! `alignment`, `user` or `flash`. For other frames, `rejected_by` is null. Older files lack this key: in them, a
+//! rejected frame with confidence 1 was excluded by the user. A frame whose `status` is `assumed` is merged as
+//! [`Placement::Assumed`]. A transform without `confidence` has confidence 1, as if set by the user.
 
 use crate::align::preset::{Preset, PresetTransform, check};
 use crate::align::result::{Alignment, Estimate, FeatureCounts, Found, KeypointCounts, Placement, RejectedBy, Status};
@@ -35,11 +35,11 @@ pub struct SavedAlignment {
     pub size: (usize, usize),
     /// The name of the reference's file.
     pub reference: PathBuf,
-    /// The name and the placement of every other frame.
+    /// The file name and the placement of every frame but the reference.
     pub frames: Vec<Preset>,
 }
 
-/// The content of the file.
+/// The content of the file of transforms.
 #[derive(Serialize, Deserialize)]
 struct Document {
     schema: String,
@@ -63,14 +63,14 @@ struct FrameDocument {
     reason: Option<String>,
 }
 
-/// The part of the file that names its schema.
+/// The schema of the file, read before the rest.
 #[derive(Deserialize)]
 struct Header {
     schema: String,
 }
 
 impl SavedAlignment {
-    /// Returns the placements that `alignment` has for the frames of `bracket`.
+    /// Returns the placements in `alignment`, with the file names of the frames of `bracket`.
     pub fn of(bracket: &Bracket, alignment: &Alignment) -> Self {
         let name = |i: usize| bracket.frames()[i].path().file_name().unwrap_or_default().into();
         let known = |i: usize| PresetTransform::Known(Box::new(alignment.placements[i].clone()), alignment.features[i]);
@@ -82,7 +82,7 @@ impl SavedAlignment {
         }
     }
 
-    /// The text of the file.
+    /// Returns the text of the file.
     pub fn to_json(&self) -> String {
         let text = |path: &Path| path.to_string_lossy().into_owned();
         let frame = |given: &Preset| {
@@ -108,14 +108,14 @@ impl SavedAlignment {
             reference: text(&self.reference),
             frames: self.frames.iter().map(frame).collect(),
         };
-        // Strings and finite numbers cannot fail to be serialised.
+        // Serialising strings and finite numbers cannot fail.
         serde_json::to_string_pretty(&document).unwrap_or_default() + "\n"
     }
 
     /// Reads the file `path`.
     ///
     /// # Errors
-    /// [`Error::Read`]; otherwise as [`from_json`](Self::from_json).
+    /// [`Error::Read`] if the file cannot be read; otherwise the errors of [`from_json`](Self::from_json).
     pub fn read(path: &Path) -> Result<Self> {
         Self::from_json(&intake::text(path, intake::MOST_OF_A_TEXT)?, path)
     }
@@ -123,8 +123,9 @@ impl SavedAlignment {
     /// Parses `text`, the content of the file `path`.
     ///
     /// # Errors
-    /// [`Error::TransformsFile`] if the text is not JSON or has another schema, a confidence is not within 0..1, or a
-    /// homography is invalid: not nine finite numbers, with a corner behind the camera, or mirrored.
+    /// [`Error::TransformsFile`] if the text is not JSON, if it has another schema, if a confidence is not within
+    /// 0..=1, or if a homography is invalid. A homography must be nine finite numbers; it must neither move a corner
+    /// behind the camera nor mirror the picture.
     pub fn from_json(text: &str, path: &Path) -> Result<Self> {
         let wrong = |reason: String| Error::TransformsFile { path: path.to_owned(), reason };
         let header: Header =
@@ -161,8 +162,8 @@ impl SavedAlignment {
     /// Checks whether this alignment, read from the file `path`, is for `bracket`.
     ///
     /// # Errors
-    /// [`Error::TransformsFile`] if the size or the reference differs from that of `bracket`, or if it has none of the
-    /// frames.
+    /// [`Error::TransformsFile`] if the size or the reference differs from that of `bracket`, or if the file has none
+    /// of the frames of `bracket`.
     pub fn check(&self, bracket: &Bracket, path: &Path) -> Result<()> {
         let wrong = |reason: String| Err(Error::TransformsFile { path: path.to_owned(), reason });
         let (width, height) = (bracket.width(), bracket.height());
@@ -274,7 +275,7 @@ mod tests {
             (json.replace("transforms/1", "transforms/9"), "schema"),
             (json.replace("-7.25", "1e999"), "t.json"),
             (json.replace("0.999", "-0.999"), "a.jpg: its homography"),
-            // The horizon crosses the picture, 100 pixels from the left.
+            // With this number, the matrix maps a line across the picture, 100 pixels from the left, to infinity.
             (json.replace("1e-7", "-0.01"), "a.jpg: its homography"),
             (json.replace("\"confidence\": 0.75", "\"confidence\": 1.5"), "a.jpg: its confidence"),
             (
@@ -306,7 +307,7 @@ mod tests {
         assert_eq!(status(base.clone()), Status::Rejected);
         assert_eq!(status(with("rejected_by", "user".into())), Status::Excluded);
         assert_eq!(status(with("rejected_by", "alignment".into())), Status::Rejected);
-        // As written by the versions that did not have the key `rejected_by` yet.
+        // Older versions wrote files without the key `rejected_by`; there, the confidence says who rejected the frame.
         assert_eq!(status(with("confidence", 1.0.into())), Status::Excluded);
         assert_eq!(status(with("confidence", 0.2.into())), Status::Rejected);
     }

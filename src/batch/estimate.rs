@@ -1,33 +1,33 @@
 //! Estimates of memory and time for a job, before it runs.
 //!
-//! In: number and size of the photographs. Out: bytes, and seconds of one core. Cost: negligible. Source: the memory is
-//! that of the [`budget`](crate::budget) of a run, an upper bound. The formula of the time was fitted to measurements
-//! (see the tests) on one core of a server of 2023.
+//! In: number and size of the photographs. Out: peak memory in bytes, and time on one core in seconds. Cost:
+//! negligible. Source: the memory is the upper bound that the [`budget`](crate::budget) module computes for a run.
+//! The formula for the time was fitted to measurements on one core of a server of 2023 (see the tests).
 
 use crate::budget::{Demand, Stages};
 
-/// The work of a job.
+/// The properties of a job that determine its memory and time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Size {
-    /// Whether the frames are merged, and not only used for the response.
+    /// Whether the job merges the frames; if false, it only recovers the response from them.
     pub merges: bool,
-    /// Number of photographs of the bracket; of the largest one if there are several.
+    /// Number of photographs of the bracket. If the job has several brackets: of the largest one.
     pub frames: usize,
-    /// Number of photographs of all brackets.
+    /// Number of photographs of all brackets of the job.
     pub photographs: usize,
     /// Width and height of a photograph, in pixels.
     pub size: (usize, usize),
-    /// Bytes per pixel: 3, or 6 with 16 bits.
+    /// Bytes per pixel of a frame in memory: 3 with 8 bits per sample, 6 with 16 bits.
     pub bytes: usize,
     /// Whether motion is detected.
     pub seeks_ghosts: bool,
-    /// Whether exposures are fused.
+    /// Whether the frames are merged by exposure fusion.
     pub fuses: bool,
 }
 
 impl Size {
-    /// Returns the peak memory of the whole process with one thread and no limit of memory, in bytes. With a limit,
-    /// frames are moved to disk.
+    /// Returns the peak memory of the whole process in bytes, for one thread and without a memory limit. With a
+    /// limit, frames are moved to disk, and the process needs less.
     pub fn memory(&self) -> u64 {
         let frame = (self.size.0 * self.size.1 * self.bytes) as u64;
         let stages = Stages {
@@ -37,11 +37,12 @@ impl Size {
             fusing: self.fuses,
             ..Stages::default()
         };
-        // Decoding holds three copies: the file, the pixels as the file stores them, and the pixels of the frame.
+        // Decoding a file holds three copies of it: the file, the pixels as the file stores them, and the pixels of
+        // the frame.
         Demand { stages, frames: self.frames, size: self.size, frame, decoding: 3 * frame }.enough(1)
     }
 
-    /// Returns the time in seconds of one core.
+    /// Returns the estimated time on one core, in seconds.
     pub fn time_s(&self) -> f64 {
         let megapixels = (self.size.0 * self.size.1) as f64 / 1e6;
         let photographs = self.photographs as f64;
@@ -79,8 +80,8 @@ mod tests {
         ] {
             assert!(more.memory() >= plain.memory() && more.time_s() > plain.time_s(), "{more:?}");
         }
-        // Measured with frames of 12 MP: 3 frames took 328 MB, 9 frames 540 MB; on one core 4 frames took 2.8 s and 10
-        // frames 6.2 s.
+        // The estimates are compared with measurements of frames of 12 MP. Memory: 3 frames took 328 MB, 9 frames 540
+        // MB. Time on one core: 4 frames took 2.8 s, 10 frames 6.2 s.
         for (frames, megabytes) in [(3, 328), (9, 540)] {
             let memory = size(frames, 4013, false, false).memory() / 1_000_000;
             assert!((megabytes..megabytes * 5 / 4).contains(&memory), "{memory}");

@@ -1,11 +1,11 @@
 //! One job: merge a bracket or recover a response, completely or not at all, and only if it is not done yet.
 //!
-//! In: a [`Job`] and its options. Out: its files, and a [`Brief`] of its report. Cost: that of `pipeline::prepare`,
-//! and of reading inputs and outputs once for their hashes.
+//! In: a [`Job`] and its options. Out: the result files, and a [`Brief`] (an extract) of the report. Cost: that of
+//! `pipeline::prepare`, and of reading inputs and outputs once for their hashes.
 //!
-//! A job may be started again at any time by any process: complete results are kept, and interrupted jobs are run
-//! again. A job replaces only its own earlier results. Two processes that run the same job at the same time end
-//! with the same files.
+//! Any process may start a job again at any time: complete results are kept, and an interrupted job is run again.
+//! Without `--force`, a job replaces only its own earlier results. If two processes run the same job at the same
+//! time, the result is the same as from one process.
 
 use super::plan::{Job, Kind};
 use super::record::{self, Content, Record};
@@ -25,10 +25,10 @@ use std::time::Duration;
 /// The part of a report that a summary shows.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct Brief {
-    /// Whether the result is degraded: a frame was rejected or is uncertain, or an exposure or the response was
+    /// Whether the result is degraded: a frame was rejected or is uncertain, or an exposure or the response had to be
     /// estimated or assumed.
     pub degraded: bool,
-    /// Warnings for the user.
+    /// The texts of the warnings.
     pub warnings: Vec<String>,
     /// Number of rejected photographs.
     pub left_out: usize,
@@ -57,48 +57,49 @@ impl Brief {
         }
     }
 
-    /// Extracts the brief from the report in the file `path`; `None` if that cannot be read.
+    /// Extracts the brief from the report in the file `path`; `None` if the file cannot be read.
     pub fn read(path: &Path) -> Option<Brief> {
         Some(Brief::of(&serde_json::from_slice(&intake::whole(path, intake::MOST_OF_A_TEXT).ok()?).ok()?))
     }
 }
 
-/// The state of a job after its pixels were computed.
+/// The result of [`begin`].
 #[derive(Debug)]
 pub enum Started<'a> {
     /// The job was done in an earlier run, with the same inputs, options and version.
     Unchanged(Brief),
-    /// All results are written to temporary files, which do not have their final names yet.
+    /// The job was run. All results are in temporary files, which do not have their final names yet.
     Made(Box<Made<'a>>),
 }
 
-/// A job whose files are written, but may not be on the disk yet and do not have their final names.
+/// A job whose temporary files are written. They may not be on the disk yet, and do not have their final names.
 #[derive(Debug)]
 pub struct Made<'a> {
     job: &'a Job,
     key: String,
     inputs: Vec<Content>,
     replaced: Vec<String>,
-    /// Existing results and report of this job.
+    /// The result files and the report of this job that existed before the run.
     existing: Vec<PathBuf>,
     prepared: Prepared,
 }
 
-/// The temporary files of a job and its report, by the kind of the job.
+/// The temporary files of a job and its report, depending on the kind of job.
 #[derive(Debug)]
 enum Prepared {
     Merged(Box<pipeline::Prepared<Report>>),
     Recovered(Box<pipeline::Prepared<CameraReport>>),
 }
 
-/// Runs `job` up to the naming of its files. Of `options`, the job itself replaces the files, the response and the unit
-/// of radiance. With `force` a finished job is run again, and existing files are replaced even if the job did not write
-/// them.
+/// Runs `job`, except for giving its files their final names. The job replaces the files, the response and the unit
+/// of radiance in `options`. With `force` a finished job is run again, and existing files are replaced even if the
+/// job did not write them.
 ///
 /// # Errors
-/// Those of [`pipeline::run`]; [`Error::Changed`] if a photograph changed during the run; [`Error::OutputExists`],
-/// [`Error::OutputChanged`] and [`Error::OtherPhotographs`] for an existing result that neither this job nor an earlier
-/// form of it wrote; [`Error::FrameLost`] if a photograph of the earlier run still exists, but is not in the job.
+/// Those of [`pipeline::run`]; [`Error::Changed`] if a photograph changed during the run. For existing files:
+/// [`Error::OutputExists`] if no earlier run of the job wrote the file; [`Error::OutputChanged`] if a result was
+/// changed after an earlier run wrote it; [`Error::OtherPhotographs`] if the earlier run had other photographs;
+/// [`Error::FrameLost`] if a photograph of the earlier run still exists, but is not in the job.
 pub fn begin<'a>(job: &'a Job, options: &Options, force: bool, watch: Watch) -> Result<Started<'a>> {
     let stamps: Vec<Stamp> = job.inputs.iter().map(|path| Stamp::of(path)).collect::<Result<_>>()?;
     let inputs: Vec<Content> = job.inputs.iter().map(|path| Content::of(path)).collect::<Result<_>>()?;
@@ -118,8 +119,8 @@ pub fn begin<'a>(job: &'a Job, options: &Options, force: bool, watch: Watch) -> 
     }
     let folder = job.report.parent().unwrap_or(Path::new("."));
     fs::create_dir_all(folder).map_err(|source| Error::Write { path: folder.to_owned(), source })?;
-    // The names are checked here, because the message of `pipeline::prepare` would mention -o, which is not an option
-    // of `batch`.
+    // The names are checked here and not by `pipeline::prepare`, whose message would name the option -o, which
+    // `batch` does not have.
     write::check_targets(&Target::of("--name", &results), &job.inputs, true)?;
     let older = existing.iter().filter(|path| **path != job.report);
     let replaced = older.map(|path| Ok(Content::of(path)?.sha256)).collect::<Result<_>>()?;
@@ -130,19 +131,20 @@ pub fn begin<'a>(job: &'a Job, options: &Options, force: bool, watch: Watch) -> 
                 pipeline: options.clone(),
                 curves: job.outputs.clone(),
                 plots: Vec::new(),
-                // One failing bracket does not stop the others.
+                // If one bracket fails, the response is recovered from the others.
                 lenient: true,
             };
             Prepared::Recovered(Box::new(camera::prepare(&job.by_bracket(), &options, watch)?))
         }
     };
-    // Photographs are read once for the record and once for their pixels. If they changed in between, the record would
-    // not describe the photographs that were merged.
+    // Each photograph is read twice: for the hash in the record, and for its pixels. If a photograph changed in
+    // between, the record would not describe the photographs that were merged.
     stamps.iter().try_for_each(Stamp::check)?;
     Ok(Started::Made(Box::new(Made { job, key, inputs, replaced, existing, prepared })))
 }
 
-/// Checks that existing files may be replaced: this job wrote them before, from these photographs.
+/// Checks that the existing files may be replaced: an earlier run of this job must have written them, from these
+/// photographs.
 fn check_existing(job: &Job, existing: &[PathBuf], known: Option<&Record>, inputs: &[Content]) -> Result<()> {
     let Some(record) = known else {
         return existing.first().map_or(Ok(()), |path| Err(Error::OutputExists { path: path.clone() }));
@@ -183,11 +185,11 @@ fn acting(job: &Job, options: &Options) -> Options {
 }
 
 impl Made<'_> {
-    /// Waits until all files are on the disk, and gives them their names: first the report, so that its record shows
-    /// that the other files are from this job even if the process is interrupted.
+    /// Waits until all files are on the disk, and then gives them their final names. The report comes first: even if
+    /// the process is interrupted, the record in the report shows that the other files are from this job.
     ///
     /// # Errors
-    /// [`Error::Write`]; [`Error::OutputExists`] if a file was created in the meantime.
+    /// [`Error::Write`]; [`Error::OutputExists`] if another program created one of the files during the run.
     pub fn commit(self) -> Result<Brief> {
         let Made { job, key, inputs, replaced, existing, prepared } = self;
         let (mut report, files) = match prepared {
@@ -222,8 +224,9 @@ impl Made<'_> {
     }
 }
 
-/// Names the report and then the results. Files in `existing`, and files that another process wrote in the meantime for
-/// the same job (`twin` is its record), are replaced.
+/// Gives the report and then the results their final names. Replaces the files in `existing`, and files that another
+/// process has written for the same job during this run (`twin` is the record of that process). Other files are not
+/// replaced.
 fn place(report: CompleteFile, files: Vec<CompleteFile>, existing: &[PathBuf], twin: Option<Record>) -> Result<()> {
     let is_ours = |path: &Path| existing.iter().any(|there| there == path);
     let replaces_report = is_ours(report.target()) || twin.is_some();
@@ -235,14 +238,14 @@ fn place(report: CompleteFile, files: Vec<CompleteFile>, existing: &[PathBuf], t
     write::rename_all(new, false)
 }
 
-/// Returns the record of another process that ran the same job in the meantime, if any: a workflow engine may start a
-/// job again while it is still running elsewhere.
+/// Returns the record of another process that ran the same job during this run, if there is one: a workflow engine
+/// may start a job again while it still runs on another machine.
 fn twin(job: &Job, key: &str) -> Option<Record> {
     Record::read(&job.report).filter(|record| record.key == key)
 }
 
-/// Returns whether another process that runs the same job, and so writes the same files, has named all of them. Waits
-/// for this at most [`TRIES`] tenths of a second.
+/// Returns whether another process that runs the same job, and so writes the same files, has given all of them their
+/// final names. Waits for this at most [`TRIES`] tenths of a second.
 fn is_done_by_twin(job: &Job, own: &Record) -> bool {
     let results: Vec<PathBuf> = job.outputs.iter().chain(&job.page).cloned().collect();
     let is_done = || twin(job, &own.key).is_some_and(|record| record.is_whole(&results));
@@ -252,11 +255,10 @@ fn is_done_by_twin(job: &Job, own: &Record) -> bool {
     })
 }
 
-/// Number of checks, a tenth of a second apart, whether another process that runs the same job has renamed all its
-/// files.
+/// Number of times that [`is_done_by_twin`] checks the files of the other process, a tenth of a second apart.
 const TRIES: u32 = 50;
 
-/// Returns the [`Content`] of a complete temporary file under its final name.
+/// Returns the [`Content`] of a complete temporary file, with the final name of the file.
 fn content(file: &CompleteFile) -> Result<Content> {
     let target = file.target();
     let failed = |source| Error::Write { path: target.to_owned(), source };
@@ -268,7 +270,8 @@ fn as_value(report: &impl Serialize) -> Value {
     serde_json::to_value(report).unwrap_or_default()
 }
 
-/// Runs `job` completely. Returns its brief, and true if it was run, or false if its results existed already.
+/// Runs `job` completely. Returns its brief, and whether it was run; it is not run if its results are complete and up
+/// to date.
 ///
 /// # Errors
 /// Those of [`begin`] and [`Made::commit`]; they are also written to [`Job::failure`].
@@ -306,8 +309,8 @@ impl Failure {
 /// The version of the format of failures.
 const FAILURE: &str = "hdralign-failure/1";
 
-/// Writes `error` to [`Job::failure`], beside the results of `job`. Nothing happens if this is not possible, or if a
-/// file with that name exists that is not a recorded failure.
+/// Writes `error` to [`Job::failure`], beside the results of `job`. Does nothing if the file cannot be written, or if
+/// a file with that name exists that is not a recorded failure.
 pub fn remember_failure(job: &Job, error: &str) {
     let failure = Failure { schema: FAILURE.into(), id: job.id.clone(), error: error.into() };
     let text = serde_json::to_string_pretty(&failure).unwrap_or_default() + "\n";
@@ -317,10 +320,11 @@ pub fn remember_failure(job: &Job, error: &str) {
     let _ = write::complete(&job.failure, text.as_bytes()).and_then(|whole| write::rename_all(vec![whole], is_ours));
 }
 
-/// Removes the recorded failure of a completed job.
+/// Removes the recorded failure of a job that is done now.
 fn forget_failure(job: &Job) {
     if Failure::read(job).is_some() {
-        // An error is ignored: the results are complete. A summary from files then shows the old failure.
+        // An error is ignored, because the results are complete. But `batch --summarize` will then show the old
+        // failure.
         let _ = fs::remove_file(&job.failure);
     }
 }

@@ -1,11 +1,12 @@
-//! Batches: brackets are found in folders, planned as jobs, and processed on one machine or by a workflow engine.
+//! Batches: finding brackets in folders, planning a job for each, and running the jobs on this machine or with a
+//! workflow engine.
 //!
 //! In: folders of photographs. Out: a plan, the results of its jobs, and a summary. Cost: reading the header of every
-//! photograph, and that of the jobs.
+//! photograph, and running the jobs.
 //!
-//! [`find`](find::find) finds brackets and [`plan`](plan::plan) turns them into jobs. [`job::run`] runs one job,
-//! completely or not at all, and only if its results are missing or out of date; [`schedule::run`] runs all on this
-//! machine. [`summary::Summary`] reports the results.
+//! [`find`](find::find) finds brackets, and [`plan`](plan::plan) turns them into jobs. [`job::run`] runs one job. It
+//! writes all results or none, and only if the existing results are missing or out of date. [`schedule::run`] runs
+//! all jobs on this machine. [`summary::Summary`] reports the results.
 
 mod estimate;
 pub mod find;

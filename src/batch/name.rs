@@ -1,4 +1,4 @@
-//! Names of results, by a template.
+//! The names of results, made from a template.
 //!
 //! In: a template such as `{folder}/{first}-{last}`, and a bracket. Out: a path without extension, relative to the
 //! folder for results. Cost: negligible.
@@ -21,7 +21,7 @@ enum Field {
     Time,
 }
 
-/// The name of each field as the user types it, the field, and its meaning for the help.
+/// For each field: its name as the user types it, the field, and its description in the help.
 const FIELDS: [(&str, Field, &str); 9] = [
     ("folder", Field::Folder, "the folder of the photographs, relative to the searched folder"),
     ("first", Field::First, "the first photograph by name, without extension"),
@@ -40,18 +40,18 @@ enum Part {
     Field(Field),
 }
 
-/// A valid template.
+/// A valid template for the names of results.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Template(Vec<Part>);
 
-/// The values of the fields for one bracket; unknown values become `unknown`.
+/// The values of the fields for one bracket. In the name, a value that is not known becomes `unknown`.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Values {
-    /// The folder of the photographs, relative to the searched folder or to the parent of that.
+    /// The folder of the photographs, relative to the searched folder or to the parent of the searched folder.
     pub folder: PathBuf,
-    /// The first photograph by name, without extension.
+    /// File name without extension of the photograph that is first in the order of names.
     pub first: OsString,
-    /// The last photograph by name, without extension.
+    /// File name without extension of the photograph that is last in the order of names.
     pub last: OsString,
     /// The bracket's number, from 1.
     pub number: usize,
@@ -59,9 +59,9 @@ pub struct Values {
     pub count: usize,
     /// The number of the panorama that contains the bracket, from 1.
     pub set: usize,
-    /// The camera.
+    /// Make and model of the camera.
     pub camera: Option<String>,
-    /// `YYYY:MM:DD HH:MM:SS`, as in EXIF.
+    /// Time when the bracket was taken: `YYYY:MM:DD HH:MM:SS`, as in EXIF.
     pub date_time: Option<String>,
 }
 
@@ -83,7 +83,8 @@ impl Template {
     /// Parses the template `text`.
     ///
     /// # Errors
-    /// [`Error::Option`] for an unknown field, and for a name outside of the folder for results.
+    /// [`Error::Option`] if `text` has an unknown field or an unmatched brace, does not end with a name, or leads
+    /// outside of the folder for results.
     pub fn parse(text: &str) -> Result<Template> {
         let refused = |reason: String| Error::Option { option: "--name", reason };
         let mut parts = Vec::new();
@@ -117,7 +118,7 @@ impl Template {
         Ok(Template(parts))
     }
 
-    /// Returns the fields with their meanings for the help, one per line.
+    /// Returns the fields with their descriptions for the help, one field per line.
     pub fn help() -> String {
         FIELDS.iter().map(|(name, _, about)| format!("  {:<10} {about}\n", format!("{{{name}}}"))).collect()
     }
@@ -131,14 +132,13 @@ impl Template {
                 Part::Field(field) => text.push(values.text(*field)),
             }
         }
-        // If the folder of a bracket is the searched folder itself, `{folder}` is empty; then a leading `/` is
-        // dropped.
+        // If a bracket is in the searched folder itself, `{folder}` is empty. A `/` after it is then removed.
         Path::new(&text).components().filter(|c| matches!(c, Component::Normal(_))).collect()
     }
 }
 
 impl Values {
-    /// Returns the value of `field`; names of files and folders may be invalid UTF-8.
+    /// Returns the value of `field`. It may be invalid UTF-8, because names of files and folders may be.
     fn text(&self, field: Field) -> OsString {
         let date_time = self.date_time.as_deref().unwrap_or("unknown unknown");
         let (date, time) = date_time.split_once(' ').unwrap_or((date_time, "unknown"));
@@ -157,11 +157,11 @@ impl Values {
     }
 }
 
-/// Replaces characters of `text` that have a meaning for shells, job systems or file systems by `_`.
+/// Replaces every character of `text` by `_` if it has a meaning for shells, job systems or file systems.
 pub fn plain(text: &str) -> String {
     let letter = |c: char| if c.is_ascii_alphanumeric() || matches!(c, '-' | '.') { c } else { '_' };
     let plain: String = text.chars().map(letter).collect();
-    // A leading dot would hide the file, and a leading dash would make it an option.
+    // A dot at the start would hide the file, and a dash would make the name look like an option.
     if plain.starts_with(['.', '-']) { format!("_{}", &plain[1..]) } else { plain }
 }
 

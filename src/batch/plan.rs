@@ -1,10 +1,11 @@
-//! The plan: one line for each job. Any workflow engine can run the jobs on any machine, in any order in which each job
-//! comes after those in its `needs`.
+//! The plan of a batch: one line for each job. A workflow engine can run the jobs on any machine and in any order, if
+//! each job runs after the jobs in its `needs`.
 //!
 //! In: the brackets that were found, and settings for the results. Out: [`Job`]s, each of which can be written as a
 //! line of JSON. Cost: negligible.
 //!
-//! A job needs only its own files: its line contains everything that affects its results. Paths are absolute.
+//! The line of a job contains everything that affects its results. To run the job, a machine needs this line and the
+//! input files. Paths are absolute.
 
 mod names;
 
@@ -29,62 +30,62 @@ pub const SCHEMA: &str = "hdralign-plan/1";
 pub enum Kind {
     /// Merges a bracket.
     Merge,
-    /// Recovers the response of a camera from brackets.
+    /// Recovers the response of a camera from one or more brackets.
     Response,
 }
 
-/// A job of a plan.
+/// One job of a plan.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Job {
     /// [`SCHEMA`].
     pub schema: String,
-    /// The program and its version, because the files of another version may have other bytes.
+    /// The program and its version, because another version may write files with different bytes.
     pub software: String,
-    /// The kind of job.
+    /// The kind of the job.
     pub kind: Kind,
-    /// The id, unique in the plan: letters, digits, `.`, `_` and `-`.
+    /// The identifier of the job, unique in the plan. It contains only letters, digits, `.`, `_` and `-`.
     pub id: String,
     /// Ids of the jobs that must be done first.
     pub needs: Vec<String>,
-    /// The photographs in order. If the job has several brackets, one bracket follows the other.
+    /// The photographs in order. If the job has several brackets, the photographs of each are consecutive.
     pub inputs: Vec<PathBuf>,
-    /// Number of inputs of each bracket.
+    /// Number of photographs of each bracket; their sum is the number of `inputs`.
     pub brackets: Vec<usize>,
-    /// The number of the panorama that contains the bracket, from 1; null for a response.
+    /// The number of the panorama that contains the bracket, from 1; null if the job recovers a response.
     pub set: Option<usize>,
     /// The result files.
     pub outputs: Vec<PathBuf>,
-    /// Those of `outputs` that are tone-mapped pictures whatever their extension, from `--pictures`.
+    /// The files of `outputs` that come from `--pictures`: they are tone-mapped pictures, whatever their extension.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub pictures: Vec<PathBuf>,
-    /// The report page, if requested.
+    /// The HTML report page, if requested.
     pub page: Option<PathBuf>,
-    /// The JSON report; it contains the record of the job.
+    /// The JSON report. It also contains the record of the job (hashes of its inputs and results).
     pub report: PathBuf,
-    /// The JSON file that is written if the job fails, with the reason.
+    /// The JSON file that is written if the job fails. It contains the reason.
     pub failure: PathBuf,
     /// The response file; null if the response is recovered from the bracket.
     pub response: Option<PathBuf>,
-    /// The relative exposure t ISO / N^2 (s) at which radiance 1 has the middle code value; null for the exposure of
-    /// the reference frame.
+    /// The unit of radiance: the relative exposure t ISO / N^2 (s) at which a radiance of 1 has the middle code
+    /// value. Null if this is the exposure of the reference frame.
     pub unit_exposure_s: Option<f64>,
     /// Options of `hdralign batch` that affect the results, as the user typed them.
     pub options: Vec<String>,
-    /// Width of the photographs.
+    /// Width of the photographs in pixels.
     pub width_px: usize,
-    /// Height of the photographs.
+    /// Height of the photographs in pixels.
     pub height_px: usize,
-    /// Number of threads for which the estimates are made.
+    /// Number of threads that the estimates of memory and time assume.
     pub threads: usize,
-    /// Upper bound of the memory, in units of 10^6 bytes.
+    /// Upper bound of the memory that the job needs, in units of 10^6 bytes.
     pub memory_mb: u64,
-    /// Approximate wall time on one core of a server of 2023, in seconds.
+    /// Estimated wall time on one core of a server of 2023, in seconds.
     pub time_s: f64,
-    /// The file of the summary of all jobs.
+    /// The JSON file with the summary of all jobs.
     pub summary: PathBuf,
 }
 
-/// A bracket, with everything that its job depends on.
+/// A bracket, with all its properties that the job depends on.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Planned {
     /// The searched folder that contains the bracket.
@@ -97,11 +98,11 @@ pub struct Planned {
     pub size: (usize, usize),
     /// Bits per sample.
     pub depth: u8,
-    /// Relative exposures t ISO / N^2 (s) of the photographs that have one.
+    /// Relative exposures t ISO / N^2 (s) of the photographs whose exposure is known.
     pub exposures: Vec<f64>,
     /// Make and model of the camera.
     pub camera: Option<String>,
-    /// The time when the bracket was taken, as in EXIF.
+    /// The time when the first photograph was taken, as in EXIF.
     pub date_time: Option<String>,
     /// The number of the panorama that contains the bracket, from 1.
     pub set: usize,
@@ -153,15 +154,15 @@ pub enum Responses {
 /// Settings for the results of all brackets.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Settings {
-    /// The folder for results; `None` for the folder of the photographs.
+    /// The folder for the results; `None` to write them into the folder of the photographs.
     pub output: Option<PathBuf>,
     /// The template for the names of results.
     pub template: Template,
     /// Extensions of the results, without dots; at least one.
     pub formats: Vec<String>,
-    /// Extensions of the additional pictures.
+    /// Extensions of the pictures that are written in addition to `formats`.
     pub pictures: Vec<String>,
-    /// Whether a report page is written for each bracket.
+    /// Whether an HTML report page is written for each bracket.
     pub page: bool,
     /// The source of the response.
     pub responses: Responses,
@@ -171,12 +172,12 @@ pub struct Settings {
     pub options: Vec<String>,
     /// Whether motion is detected.
     pub seeks_ghosts: bool,
-    /// Whether exposures are fused.
+    /// Whether pictures are made by exposure fusion.
     pub fuses: bool,
 }
 
-/// Returns the jobs for `brackets`, those for responses first. Ids and names of files are unique. They do not depend on
-/// the order of `brackets`, except for names that collide.
+/// Returns the jobs for `brackets`; the jobs that recover a response come first. Ids and file names are unique. They
+/// do not depend on the order of `brackets`, unless two jobs would have the same name.
 ///
 /// # Errors
 /// [`Error::Option`] if a path cannot be made absolute.
@@ -203,7 +204,8 @@ pub fn plan(brackets: &[Planned], settings: &Settings) -> Result<Vec<Job>> {
             settings.template.path(&values(bracket, i, if roots.len() > 1 { Some(&bracket.root) } else { None }));
         let base = match &settings.output {
             Some(_) => home.join(&name),
-            // Results go to the searched folder of the bracket, so the name need not contain the name of that folder.
+            // Results go to the searched folder that contains the bracket. So their names need not contain the name
+            // of that folder.
             None => absolute(&bracket.root)?.join(settings.template.path(&values(bracket, i, None))),
         };
         let formats = || settings.formats.iter().chain(&settings.pictures).map(String::as_str);
@@ -256,7 +258,7 @@ pub fn plan(brackets: &[Planned], settings: &Settings) -> Result<Vec<Job>> {
     Ok(all)
 }
 
-/// Returns the jobs that recover a response for each camera.
+/// Returns for each camera the job that recovers its response from all its brackets.
 fn responses(
     brackets: &[Planned],
     settings: &Settings,
@@ -329,7 +331,8 @@ fn rounded(seconds: f64) -> f64 {
 fn values(bracket: &Planned, index: usize, root: Option<&Path>) -> Values {
     let stem = |path: Option<&PathBuf>| path.and_then(|p| p.file_stem()).unwrap_or_default().to_owned();
     let names = || bracket.photographs.iter();
-    // `root` is given if several folders were searched: each has a folder of its name for its results.
+    // `root` is given only if several folders were searched. The results of each of these folders then go to a
+    // subfolder with its name.
     let below = root.and_then(Path::file_name).map(PathBuf::from).unwrap_or_default();
     Values {
         folder: below.join(&bracket.folder),
@@ -343,7 +346,8 @@ fn values(bracket: &Planned, index: usize, root: Option<&Path>) -> Values {
     }
 }
 
-/// Returns the number of the group of brackets that share a unit of radiance with `bracket`; `None` if it shares none.
+/// Returns the number of the group of brackets that share a unit of radiance and contain `bracket`; `None` if each
+/// bracket has its own unit.
 fn unit_of(bracket: &Planned, normalisation: Normalisation) -> Option<usize> {
     match normalisation {
         Normalisation::Bracket => None,
@@ -352,9 +356,9 @@ fn unit_of(bracket: &Planned, normalisation: Normalisation) -> Option<usize> {
     }
 }
 
-/// Returns the median exposure of each group of brackets that share a unit of radiance, by [`unit_of`]: about the
-/// exposure of their reference frames. It is 1 s if no exposure is known; the job then reports that the photographs
-/// have no exposure.
+/// Returns the exposure that defines the unit of radiance, for each group of brackets with the same unit (see
+/// [`unit_of`]). It is the median of all exposures in the group, which is close to the exposure of the reference
+/// frames. If no exposure is known it is 1 s; the jobs then report that the photographs have no exposure.
 fn units(brackets: &[Planned], normalisation: Normalisation) -> BTreeMap<Option<usize>, Option<f64>> {
     let mut exposures: BTreeMap<Option<usize>, Vec<f64>> = BTreeMap::new();
     for bracket in brackets {
@@ -368,10 +372,10 @@ fn units(brackets: &[Planned], normalisation: Normalisation) -> BTreeMap<Option<
 }
 
 impl Job {
-    /// Returns the job as a line of JSON, without the line feed.
+    /// Returns the job as a line of JSON without the newline.
     ///
     /// # Errors
-    /// [`Error::Option`] if a path is not valid UTF-8, because JSON cannot contain it.
+    /// [`Error::Option`] if a path is not valid UTF-8, because JSON cannot contain such a path.
     pub fn to_line(&self) -> Result<String> {
         let all = self.inputs.iter().chain(&self.outputs).chain([&self.report, &self.summary]).chain(&self.response);
         if let Some(path) = all.into_iter().find(|path| path.to_str().is_none()) {
@@ -384,7 +388,7 @@ impl Job {
         serde_json::to_string(self).map_err(|e| Error::Option { option: "--plan", reason: e.to_string() })
     }
 
-    /// Reads the jobs in the file `path`.
+    /// Reads all jobs of the plan in the file `path`.
     ///
     /// # Errors
     /// [`Error::Read`]; [`Error::PlanFile`] if the file is not a plan, has another version of the format, or contains
@@ -416,10 +420,10 @@ impl Job {
         Ok(jobs)
     }
 
-    /// Reads the jobs `ids` of the plan in the file `path`, in that order.
+    /// Reads the jobs with the given `ids` from the plan in the file `path`, in the order of `ids`.
     ///
     /// # Errors
-    /// Those of [`read_all`](Self::read_all); [`Error::Option`] if the plan has no job with one of the ids, or if
+    /// Those of [`read_all`](Self::read_all); [`Error::Option`] if the plan has no job with one of the `ids`, or if
     /// another version of hdralign made the plan.
     pub fn read(path: &Path, ids: &[String]) -> Result<Vec<Job>> {
         let all = Job::read_all(path)?;

@@ -1,13 +1,13 @@
-//! The record of a job, by which a later run recognises complete results and its own files.
+//! The record of a job. A later run uses it to recognise complete results and files that the job itself wrote.
 //!
-//! In: a job, its options, and its files. Out: a key of its inputs, options and version (by hash, not by date), and a
-//! record of the files that were written, stored in the job's report under the key `step`. Cost: every input and output
-//! is read once, for SHA-256.
+//! In: a job, its options, and its files. Out: a key, which is a hash of the contents of the inputs, the options and
+//! the version (dates do not matter); and a record of the files that were written. The record is stored in the job's
+//! report under the JSON key `step`. Cost: every input and output is read once, for SHA-256.
 //!
-//! The report gets its final name before the results do. If the process is killed between the two, the results in the
-//! record are missing or still those of the previous run. [`Record::is_whole`] detects this, and the record lists the
-//! previous files as [replaced](Record::replaced), so that the next run may replace them. Files that are in no record
-//! belong to the user and are never replaced.
+//! The report gets its final name before the results do. If the process is killed in between, some results in the
+//! record are missing, or are still those of the previous run. [`Record::is_whole`] detects this. The record also
+//! lists the previous files as [replaced](Record::replaced), so that the next run may replace them. Files that are in
+//! no record belong to the user. They are replaced only with `--force`.
 
 use super::plan::Job;
 use crate::error::{Error, Result};
@@ -20,13 +20,14 @@ use std::fs;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
-/// Size of the buffer for reading, in bytes.
+/// Number of bytes that are read and hashed at a time.
 const AT_ONCE: usize = 1 << 18;
 
 /// The name, length and hash of a file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Content {
-    /// The name of the file, without the folder; bytes that are not valid UTF-8 become a replacement character.
+    /// The name of the file, without the folder. Parts that are not valid UTF-8 become the replacement character
+    /// U+FFFD.
     pub name: String,
     /// The length in bytes.
     pub bytes: u64,
@@ -35,7 +36,7 @@ pub struct Content {
 }
 
 impl Content {
-    /// Reads the file `path` to determine its name, length and hash.
+    /// Reads the file `path`, and returns its name, length and hash.
     ///
     /// # Errors
     /// [`Error::Read`].
@@ -44,10 +45,10 @@ impl Content {
         Content::read(path, intake::open_regular(path)?).map_err(failed)
     }
 
-    /// Reads `file`, which has or will have the name `path`, to determine its name, length and hash.
+    /// Reads `file`, and returns its length and hash with the name of `path`. The file may get this name later.
     ///
     /// # Errors
-    /// Those of reading.
+    /// Errors of reading `file`.
     pub fn read(path: &Path, mut file: impl Read) -> io::Result<Content> {
         let mut hash = Sha256::new();
         let mut buffer = vec![0; AT_ONCE];
@@ -74,12 +75,12 @@ fn hex(hash: Sha256) -> String {
     hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// The inputs, options and results of a job.
+/// The inputs, options and results of a job that was run.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Record {
     /// [`Job::id`].
     pub id: String,
-    /// SHA-256 of the contents of all inputs, the options and the version: equal keys give equal bytes.
+    /// SHA-256 of the contents of all inputs, the options and the version. Jobs with equal keys write equal bytes.
     pub key: String,
     /// The program and its version.
     pub software: String,
@@ -101,15 +102,17 @@ struct Report {
 }
 
 impl Record {
-    /// Reads the record in the report `path`. Returns `None` if the file does not exist or has no record.
+    /// Reads the record from the report in the file `path`. Returns `None` if the file does not exist or has no
+    /// record.
     pub fn read(path: &Path) -> Option<Record> {
         let text = intake::whole(path, intake::MOST_OF_A_TEXT).ok()?;
         Some(serde_json::from_slice::<Report>(&text).ok()?.job)
     }
 
-    /// Returns whether each of `outputs` exists and is not left from an earlier run: either it has the length in this
-    /// record (which is enough, because only complete files get their names), or neither this run nor an earlier one
-    /// wrote it, so that somebody else changed it and it belongs to them.
+    /// Returns whether all files `outputs` are complete results of this run. A file is complete if it has the length
+    /// in this record; its content need not be checked, because only complete files get their final names. A file
+    /// with another length is accepted if neither this run nor an earlier one wrote it: then the user changed it, and
+    /// it belongs to the user.
     pub fn is_whole(&self, outputs: &[PathBuf]) -> bool {
         let is_there = |path: &PathBuf| {
             let Some(content) = self.outputs.iter().find(|content| content.name == name(path)) else { return false };
@@ -119,13 +122,13 @@ impl Record {
         outputs.iter().all(is_there)
     }
 
-    /// Returns whether the recorded photographs include one of `inputs`, by hash; other photographs may have the same
-    /// names.
+    /// Returns whether the recorded photographs include at least one of `inputs`. They are compared by hash, because
+    /// different photographs may have the same name.
     pub fn is_of(&self, inputs: &[Content]) -> bool {
         self.inputs.iter().any(|known| inputs.iter().any(|content| content.sha256 == known.sha256))
     }
 
-    /// Returns whether the file `path` was written by the recorded run or an earlier one, by its hash.
+    /// Returns whether the recorded run or an earlier run wrote the file `path`, compared by hash.
     ///
     /// # Errors
     /// [`Error::Read`].
@@ -135,10 +138,10 @@ impl Record {
     }
 }
 
-/// Returns the [`Record::key`] of `job` with `inputs` and `options`.
+/// Returns the [`Record::key`] of `job`, for photographs with the contents `inputs` and for `options`.
 ///
 /// # Errors
-/// [`Error::Read`] for the response file.
+/// [`Error::Read`] if the response file cannot be read.
 pub fn key(job: &Job, inputs: &[Content], options: &Options) -> Result<String> {
     let mut hash = Sha256::new();
     let mut take = |text: &str| {
@@ -146,8 +149,9 @@ pub fn key(job: &Job, inputs: &[Content], options: &Options) -> Result<String> {
         hash.update(text);
     };
     take(super::SOFTWARE);
-    // All options are hashed by their debug format, so that a new option cannot be forgotten here, except those that do
-    // not affect the results: paths, memory, threads and limits. The response file is hashed by its content below.
+    // The debug format of all options is hashed, so that a new option cannot be forgotten here. Options that do not
+    // affect the results are reset before: paths, memory, threads and limits. The response file is hashed by its
+    // content below.
     let mut acting =
         Options { threads: None, response_file: None, report: None, outputs: Vec::new(), ..options.clone() };
     acting.pictures = Vec::new();
@@ -178,7 +182,7 @@ mod tests {
     #[test]
     fn the_digest_is_sha_256() {
         let content = Content::read(Path::new("d/abc.txt"), &b"abc"[..]).unwrap();
-        // The example of FIPS 180-4.
+        // This is the example in FIPS 180-4.
         assert_eq!(content.sha256, "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
         assert_eq!((content.name.as_str(), content.bytes), ("abc.txt", 3));
     }

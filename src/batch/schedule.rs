@@ -1,11 +1,12 @@
 //! Runs all jobs of a plan on one machine: as many at a time as cores and memory allow.
 //!
-//! In: jobs. Out: the outcome of each. Cost: that of the jobs. A job starts after the jobs that it needs. It runs on
-//! one core while there are enough jobs for all cores, because this takes less time in total than several cores for one
-//! job; the last jobs share the remaining cores.
+//! In: jobs. Out: the outcome of each job. Cost: that of the jobs. A job starts after the jobs that it needs have
+//! ended. While there are enough jobs for all cores, each job runs on one core: in total, this takes less time than
+//! running one job on several cores. The last jobs share the remaining cores.
 //!
-//! A separate thread waits for the disk and gives files their names, so that no core waits. If a job fails, only the
-//! jobs that need it are not run. Results do not depend on which jobs run at the same time.
+//! A separate thread waits until files are on the disk and gives them their final names, so that computing threads do
+//! not wait for the disk. If a job fails, only the jobs that need it are not run. Results do not depend on which jobs
+//! run at the same time.
 
 use super::job::{self, Brief, Made, Started};
 use super::plan::Job;
@@ -20,34 +21,34 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
-/// Largest number of computed jobs that wait for the disk; the thread that computes another one waits too.
+/// Largest number of computed jobs whose files are not on the disk yet. The thread that computes one more waits too.
 const WAITING: usize = 4;
 
-/// Resources of the machine.
+/// Limits on the resources that the batch uses.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Limits {
     /// Largest number of jobs at a time; at least 1.
     pub jobs: usize,
-    /// Largest number of computing threads of all jobs together; at least 1.
+    /// Largest number of computing threads, added over all running jobs; at least 1.
     pub threads: usize,
-    /// Largest memory of all jobs together; `None` for no limit.
+    /// Largest memory, added over all running jobs; `None` for no limit.
     pub memory: Option<MemoryLimit>,
 }
 
 /// The outcome of a job.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Ending {
-    /// The job was run.
+    /// The job was run in this batch.
     Done(Brief),
     /// The job was done in a previous run, with the same inputs, options and version.
     Unchanged(Brief),
     /// The job failed, with this error message.
     Failed(String),
-    /// The job was not started: the batch was stopped before, or the disk for its results is full.
+    /// The job was not started, because the batch was stopped earlier or the disk for the job's results is full.
     NotStarted,
 }
 
-/// An event of a batch, reported from any thread.
+/// An event of a batch. Any thread may report it.
 #[derive(Debug)]
 pub enum Event<'a> {
     /// A job starts.
@@ -58,8 +59,8 @@ pub enum Event<'a> {
     Fills(&'a Job),
 }
 
-/// Runs `jobs` with `options`. Returns their outcomes in the order of `jobs`. With `force` jobs that were done before
-/// are run again. After `stop` is set, running jobs are finished and no other job is started.
+/// Runs `jobs` with `options`. Returns their outcomes in the order of `jobs`. With `force`, jobs that were done in an
+/// earlier run are run again. When `stop` becomes true, the running jobs are finished and no other job is started.
 pub fn run(
     jobs: &[Job],
     options: &Options,
@@ -71,8 +72,8 @@ pub fn run(
     let board = Board::new(jobs, limits, stop, watch);
     let (to_namer, made) = sync_channel(WAITING);
     std::thread::scope(|scope| {
-        // The system may refuse to start threads, so the current thread also runs jobs, and gives files their names if
-        // the thread for this could not be started.
+        // The system may refuse to start threads. So the current thread also runs jobs. If the thread that names
+        // files could not be started, the threads that run jobs name the files.
         let thread = |name: &str| std::thread::Builder::new().name(name.into());
         let _ = thread("hdralign names").spawn_scoped(scope, || name(&board, made));
         for _ in 1..workers(jobs, limits) {
@@ -85,18 +86,18 @@ pub fn run(
     board.endings()
 }
 
-/// Returns the largest number of jobs at a time, by [`Limits::jobs`], the number of jobs and the memory of the
-/// smallest.
+/// Returns the largest number of jobs that can run at the same time. It is limited by [`Limits::jobs`], by the number
+/// of jobs, and by how many jobs as small as the smallest fit into memory.
 fn workers(jobs: &[Job], limits: &Limits) -> usize {
     let least = jobs.iter().map(pixels).min().unwrap_or(0).max(1);
     let fitting = usize::try_from(capacity(limits) / least).unwrap_or(usize::MAX);
     limits.jobs.min(jobs.len()).min(fitting).max(1)
 }
 
-/// Runs one job of the board after the other, until no job is left to start.
+/// Runs jobs of the board one after the other, until no job is left to start.
 fn work<'a>(board: &Board<'a>, options: &Options, force: bool, to_namer: &SyncSender<(usize, Box<Made<'a>>)>) {
-    // The thread pool is reused for the next job, because a new pool would leave the memory of the old threads behind.
-    // While there is no work, it is dropped, because idle threads keep memory that other jobs need.
+    // The thread pool is reused for the next job, because a new pool would not free the memory of the old threads.
+    // While this thread waits for work, the pool is dropped, because idle threads keep memory that other jobs need.
     let mut pool: Option<ThreadPool> = None;
     while let Some((i, share)) = board.take(|| pool = None) {
         let own = share.options(options);
@@ -104,7 +105,7 @@ fn work<'a>(board: &Board<'a>, options: &Options, force: bool, to_namer: &SyncSe
             pool = ThreadPoolBuilder::new().num_threads(share.threads).build().ok();
         }
         let begin = || guarded(|| job::begin(&board.jobs[i], &own, force, &pipeline::unwatched), || board.fill(i));
-        // If a pool cannot be created, the job reports the error.
+        // If the pool cannot be created here, `job::begin` tries to create it and reports the error.
         let started = pool.as_ref().map_or_else(begin, |pool| pool.install(begin));
         board.give_back(&share);
         match started {
@@ -120,7 +121,7 @@ fn work<'a>(board: &Board<'a>, options: &Options, force: bool, to_namer: &SyncSe
     }
 }
 
-/// For each computed job, waits until its files are on the disk, and gives them their names.
+/// Receives computed jobs. For each one, waits until its files are on the disk, and gives them their final names.
 fn name(board: &Board, made: Receiver<(usize, Box<Made>)>) {
     made.iter().for_each(|(i, made)| board.end(i, named(board, i, made)));
 }
@@ -129,7 +130,8 @@ fn named(board: &Board, i: usize, made: Box<Made>) -> Ending {
     guarded(|| made.commit(), || board.fill(i)).map_or_else(Ending::Failed, Ending::Done)
 }
 
-/// Runs `work` for a job. Returns its result, or the message of an error or panic. Calls `fill` if the disk is full.
+/// Runs `work` for a job. Returns its result, or the message of its error or panic. Calls `fill` if the error is a
+/// full disk.
 fn guarded<R>(work: impl FnOnce() -> Result<R>, fill: impl FnOnce()) -> std::result::Result<R, String> {
     let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(work));
     let result = outcome.map_err(|panic| {
@@ -145,7 +147,7 @@ fn guarded<R>(work: impl FnOnce() -> Result<R>, fill: impl FnOnce()) -> std::res
     })
 }
 
-/// Returns the device number of the disk for the results of `job`; 0 if it is not known.
+/// Returns the device number of the disk to which `job` writes its results; 0 if it is not known.
 #[cfg(unix)]
 fn disk(job: &Job) -> u64 {
     use std::os::unix::fs::MetadataExt;
@@ -165,15 +167,16 @@ fn disk(_: &Job) -> u64 {
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Share {
     threads: usize,
-    /// Bytes of the total memory for the pixels of the job, and for its threads after the first.
+    /// The bytes of [`Limits::memory`] that the job may use for its pixels and for its threads after the first.
     taken: u64,
 }
 
 impl Share {
-    /// Returns the share of a job that needs `pixels` of the `free` bytes, `thread` bytes for each thread after the
-    /// first, and may use at most `threads` threads. If `free` is not enough for all threads, a job whose pixels need
-    /// at least four times as much memory as the threads gets them nevertheless, and keeps fewer pixels in memory;
-    /// others get one.
+    /// Returns the share of a job. `pixels` is the memory that its pixels need, `thread` the memory that each thread
+    /// after the first needs, and `free` the free memory, all in bytes. The job may use at most `threads` threads.
+    /// There are two cases if `free` is not enough for the pixels and all threads. If the pixels need at least four
+    /// times as much memory as the additional threads, the job gets all threads, and keeps fewer pixels in memory.
+    /// Otherwise the job gets one thread.
     fn of(pixels: u64, thread: u64, free: u64, threads: usize) -> Share {
         let extra = thread * (threads as u64 - 1);
         if pixels.saturating_add(extra) <= free {
@@ -214,7 +217,7 @@ struct Board<'a> {
 
 struct Open {
     states: Vec<State>,
-    /// Bytes for pixels that no running job uses.
+    /// Bytes of the memory for pixels that no running job has taken.
     free: u64,
     /// Number of jobs that are being computed.
     going: usize,
@@ -236,12 +239,12 @@ impl<'a> Board<'a> {
     }
 
     fn lock(&self) -> MutexGuard<'_, Open> {
-        // Poisoning is ignored: code that holds the lock cannot panic and leave the data inconsistent.
+        // A poisoned lock can be used: code that holds the lock cannot panic and leave the data inconsistent.
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Returns the index of the next job with its resources, or `None` if no job is left to start. Waits for other jobs
-    /// if necessary, and calls `idle` before.
+    /// Returns the index of the next job and its resources, or `None` if no job is left to start. If no job can start
+    /// yet, calls `idle` and waits until the state of another job changes.
     fn take(&self, mut idle: impl FnMut()) -> Option<(usize, Share)> {
         let mut open = self.lock();
         loop {
@@ -259,7 +262,7 @@ impl<'a> Board<'a> {
             }
             let ready: Vec<usize> = (0..self.jobs.len()).filter(|&i| self.is_ready(&open, i)).collect();
             if let Some((i, pixels)) = self.longest(&open, &ready) {
-                // If memory is enough for only one job at a time, that job may have all cores.
+                // If the memory is enough for only one such job at a time, the job may have all cores.
                 let fitting = usize::try_from(capacity(self.limits) / pixels.max(1)).unwrap_or(usize::MAX);
                 let at_once = (ready.len() + open.going).min(self.limits.jobs).min(fitting).max(1);
                 let job = &self.jobs[i];
@@ -280,8 +283,9 @@ impl<'a> Board<'a> {
         }
     }
 
-    /// Returns the index of the longest of the `ready` jobs for whose pixels there is memory, and the bytes for these
-    /// pixels; of equally long jobs the first. A long job that starts last would run alone at the end.
+    /// Returns the index of the job with the longest estimated time, and the bytes for its pixels. Considers the
+    /// `ready` jobs whose pixels fit into the free memory. If several jobs are equally long, returns the first. Long
+    /// jobs start first, because a long job that starts last would run alone at the end.
     fn longest(&self, open: &Open, ready: &[usize]) -> Option<(usize, u64)> {
         let sized = ready.iter().map(|&i| (i, pixels(&self.jobs[i]).min(capacity(self.limits))));
         let fitting = sized.filter(|(_, pixels)| *pixels <= open.free);
@@ -296,7 +300,8 @@ impl<'a> Board<'a> {
         matches!(open.states[i], State::Open) && self.jobs[i].needs.iter().all(is_done)
     }
 
-    /// Returns the open jobs that need a job that failed, was not started, or does not exist, with their outcomes.
+    /// Returns the open jobs that need a job which failed, was not started, or does not exist; each with the outcome
+    /// that it now gets.
     fn with_failed_need(&self, open: &Open) -> Vec<(usize, Ending)> {
         let ending = |id: &String| match self.places.get(id.as_str()).map(|&i| &open.states[i]) {
             None => Some(Ending::Failed(format!("it depends on the job {id}, which is not in the plan"))),
@@ -312,7 +317,8 @@ impl<'a> Board<'a> {
         open_jobs.filter_map(failed).collect()
     }
 
-    /// The disk of job `i` is full: ends the open jobs that write to this disk as [`Ending::NotStarted`].
+    /// Handles that the disk of job `i` is full: ends the open jobs that write to this disk as
+    /// [`Ending::NotStarted`].
     fn fill(&self, i: usize) {
         let full = disk(&self.jobs[i]);
         let mut left = 0;
@@ -330,7 +336,7 @@ impl<'a> Board<'a> {
         self.changed.notify_all();
     }
 
-    /// Makes the resources of a job available again after it was computed.
+    /// Makes the resources of a computed job available to other jobs.
     fn give_back(&self, share: &Share) {
         let mut open = self.lock();
         open.free += share.taken;
@@ -344,7 +350,7 @@ impl<'a> Board<'a> {
         self.changed.notify_all();
     }
 
-    /// Reports the outcome of job `i`. This writes a file and prints, so the board must not be locked.
+    /// Reports the outcome of job `i`. This may write a file and print, so the board must not be locked.
     fn tell(&self, i: usize, ending: &Ending) {
         if let Ending::Failed(error) = ending {
             job::remember_failure(&self.jobs[i], error);
@@ -362,12 +368,12 @@ impl<'a> Board<'a> {
     }
 }
 
-/// Returns the bytes for the pixels of all jobs together.
+/// Returns the bytes that all running jobs together may use for pixels.
 fn capacity(limits: &Limits) -> u64 {
     limits.memory.as_ref().map_or(u64::MAX, MemoryLimit::for_pixels)
 }
 
-/// Returns the bytes that the pixels of `job` need if they all stay in memory.
+/// Returns the bytes that `job` needs if all its pixels stay in memory, without the memory of the program itself.
 fn pixels(job: &Job) -> u64 {
     (job.memory_mb * 1_000_000).saturating_sub(MemoryLimit::PROGRAM)
 }

@@ -1,7 +1,7 @@
-//! The summary of a batch: a row for each job, as JSON and as CSV.
+//! The summary of a batch: one row for each job, written as JSON and as CSV.
 //!
-//! In: jobs and their outcomes; or only jobs, whose outcomes are then read from their files. Out: a [`Summary`]. Cost:
-//! negligible, except for reading the jobs' reports.
+//! In: jobs and their outcomes. If the outcomes are not given, they are read from the files of the jobs. Out: a
+//! [`Summary`]. Cost: negligible, except for reading the jobs' reports.
 
 use super::job::{Brief, Failure};
 use super::plan::{Job, Kind};
@@ -21,18 +21,18 @@ pub const SCHEMA: &str = "hdralign-batch/1";
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Status {
-    /// Done in this run; in any run if the summary is made from files.
+    /// The job was done in this run. If the summary is made from files, the job was done in any run.
     Done,
-    /// Done in a previous run, with the same inputs, options and version.
+    /// The job was done in a previous run, with the same inputs, options and version.
     Unchanged,
-    /// Failed.
+    /// The job failed.
     Failed,
-    /// Not started, or interrupted.
+    /// The job was not started, or was interrupted.
     NotDone,
 }
 
 impl Status {
-    /// Returns the name used in files.
+    /// Returns the name of the status, as in the JSON and CSV files.
     pub fn name(self) -> &'static str {
         match self {
             Status::Done => "done",
@@ -50,19 +50,19 @@ pub struct Row {
     pub id: String,
     /// The kind of job.
     pub kind: Kind,
-    /// The status of the job.
+    /// The status of this job.
     pub status: Status,
-    /// The number of the panorama that contains the bracket, from 1.
+    /// The number of the panorama that contains the bracket, from 1; null if the job recovers a response.
     pub set: Option<usize>,
-    /// The photographs.
+    /// The paths of the photographs.
     pub photographs: Vec<String>,
-    /// The results, if the job is done.
+    /// The paths of the results, if the job is done.
     pub outputs: Vec<String>,
-    /// The report, if the job is done.
+    /// The path of the report, if the job is done.
     pub report: Option<String>,
     /// The error message, if the job failed.
     pub error: Option<String>,
-    /// Extracts from the report of the job.
+    /// Values extracted from the report of the job.
     #[serde(flatten)]
     pub brief: Brief,
 }
@@ -70,7 +70,7 @@ pub struct Row {
 /// A photograph that is in no bracket.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Unused {
-    /// The file.
+    /// The path of the file.
     pub path: String,
     /// Why it is in no bracket.
     pub reason: String,
@@ -106,9 +106,9 @@ pub struct Summary {
     /// The jobs, in the order of the plan (`steps` in the JSON).
     #[serde(rename = "steps")]
     pub jobs: Vec<Row>,
-    /// Photographs that are in no bracket; null if only the plan is known.
+    /// Photographs that are in no bracket; null if the summary is made from a plan, which does not contain them.
     pub left_over: Option<Vec<Unused>>,
-    /// Wall time in seconds; null if jobs were run elsewhere.
+    /// Wall time in seconds; null if the summary is made from files, because the jobs may have run on other machines.
     pub time_s: Option<f64>,
 }
 
@@ -135,7 +135,7 @@ impl Outcome {
 }
 
 impl Summary {
-    /// Creates the summary of `jobs` with their outcomes `endings`.
+    /// Creates the summary of `jobs`, whose outcomes are `endings` in the same order.
     pub fn new(jobs: &[Job], endings: &[Ending], left_over: Vec<Unused>, time_s: f64) -> Summary {
         let rows = jobs.iter().zip(endings).map(|(job, ending)| {
             let (status, brief, error) = match ending {
@@ -149,8 +149,8 @@ impl Summary {
         Summary::of(rows.collect(), Some(left_over), Some(time_s))
     }
 
-    /// Creates the summary of `jobs` that were run elsewhere, from their files. A job has failed if its failure file
-    /// exists; it is done if its report is of the same options and version and its results are complete.
+    /// Creates the summary of `jobs` from their files, for jobs that were run elsewhere. A job has failed if its
+    /// failure file exists. It is done if its report has the same options and version and its results are complete.
     pub fn collected(jobs: &[Job]) -> Summary {
         let rows = jobs.iter().map(|job| {
             let results: Vec<PathBuf> = job.outputs.iter().chain(&job.page).cloned().collect();
@@ -158,8 +158,8 @@ impl Summary {
                 record.options == job.options && record.software == job.software && record.is_whole(&results)
             });
             match (record.and_then(|_| Brief::read(&job.report)), Failure::read(job)) {
-                // A completed job removes its failure file. So if both files exist, the report is of an earlier run,
-                // and the job failed later.
+                // A completed job removes its failure file. So if both the report and the failure file exist, the
+                // report is of an earlier run, and the job failed later.
                 (_, Some(failure)) => row(job, Status::Failed, Brief::default(), Some(failure.error)),
                 (Some(brief), None) => row(job, Status::Done, brief, None),
                 (None, None) => row(job, Status::NotDone, Brief::default(), None),
@@ -186,13 +186,13 @@ impl Summary {
         Outcome::of(self.counts.done + self.counts.unchanged, self.counts.jobs)
     }
 
-    /// Returns the summary as JSON, with a final line feed.
+    /// Returns the summary as JSON, with a newline at the end.
     pub fn to_json(&self) -> String {
         // The summary contains only strings, numbers and lists of them, so the conversion cannot fail.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }
 
-    /// Returns the summary as CSV (RFC 4180), with a header row and a row for each job.
+    /// Returns the summary as CSV (RFC 4180): a header row, then a row for each job.
     pub fn to_csv(&self) -> String {
         let mut writer = csv::Writer::from_writer(Vec::new());
         // Writing to memory does not fail, and all rows have the same length.
@@ -219,10 +219,10 @@ impl Summary {
     }
 
     /// Writes the summary as JSON to `path`, and as CSV to the same path with the extension `csv`. Existing files are
-    /// replaced as described for [`check`].
+    /// replaced under the conditions of [`check`].
     ///
     /// # Errors
-    /// [`Error::Write`], also if a file exists that may not be replaced.
+    /// [`Error::Write`]. This includes the case that a file exists which may not be replaced.
     pub fn write(&self, path: &Path, overwrite: bool) -> Result<[PathBuf; 2]> {
         let [json, table] = files(path);
         let whole = vec![
@@ -234,9 +234,9 @@ impl Summary {
     }
 }
 
-/// Checks, before any work, that a summary can be written to `path`. An existing file may be replaced if it is the
-/// summary of another run, or with `overwrite`. The same holds for the CSV file beside it, which does not itself show
-/// that it is a summary.
+/// Checks that a summary can be written to `path`, before any job runs. An existing file may be replaced if it is the
+/// summary of another run, or if `overwrite` is true. The CSV file beside it does not itself show that it is a
+/// summary. So it may be replaced if the JSON file may be replaced.
 ///
 /// # Errors
 /// [`Error::Write`].
@@ -244,7 +244,7 @@ pub fn check(path: &Path, overwrite: bool) -> Result<()> {
     write::check_targets(&Target::of("-d", &files(path)), &[], overwrite || is_summary(path)).map_err(kept)
 }
 
-/// Returns the paths of the summary as JSON and as CSV.
+/// Returns the paths of the JSON file and the CSV file.
 fn files(path: &Path) -> [PathBuf; 2] {
     [path.to_owned(), path.with_extension("csv")]
 }
@@ -255,12 +255,13 @@ fn is_summary(path: &Path) -> bool {
     struct Header {
         schema: String,
     }
-    // A summary is about as long as the plan of its jobs.
+    // A summary is about as long as the plan of the same jobs, so the same limit on the length is used.
     let header = intake::whole(path, intake::MOST_OF_A_PLAN).ok().and_then(|text| serde_json::from_slice(&text).ok());
     header.is_some_and(|Header { schema }| schema == SCHEMA)
 }
 
-/// Replaces [`Error::OutputExists`] by an error with another remedy, because a summary cannot have another name.
+/// Replaces [`Error::OutputExists`], which advises to choose another name. A summary cannot have another name, so the
+/// new error gives other advice.
 fn kept(error: Error) -> Error {
     let Error::OutputExists { path } = error else { return error };
     let reason = "it exists already, and `hdralign batch` did not write it; move it away, name another folder with -d, or \

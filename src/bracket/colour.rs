@@ -22,13 +22,13 @@ use strum::IntoEnumIterator;
 /// The CIE 1931 xy chromaticities of red, green, blue and white.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Primaries {
-    /// xy of R = 1.
+    /// xy of the colour RGB (1, 0, 0).
     pub red: [f64; 2],
-    /// xy of G = 1.
+    /// xy of the colour RGB (0, 1, 0).
     pub green: [f64; 2],
-    /// xy of B = 1.
+    /// xy of the colour RGB (0, 0, 1).
     pub blue: [f64; 2],
-    /// xy of R = G = B = 1.
+    /// xy of the colour RGB (1, 1, 1).
     pub white: [f64; 2],
 }
 
@@ -68,7 +68,7 @@ impl Primaries {
         self.all().iter().all(|v| *v >= 0.0)
     }
 
-    /// Whether no coordinate differs from that of `other` by more than `tolerance`; a tolerance of 0.005 covers the
+    /// Whether every coordinate differs from that of `other` by at most `tolerance`. A tolerance of 0.005 includes the
     /// rounding of profiles and is not visible.
     pub fn is_close(&self, other: &Primaries, tolerance: f64) -> bool {
         self.all().iter().zip(other.all()).all(|(a, b)| (a - b).abs() <= tolerance)
@@ -94,12 +94,12 @@ impl Primaries {
         matrix.iter().all(|v| v.is_finite()).then_some(matrix)
     }
 
-    /// Returns the contributions of red, green and blue to luminance: the second row of [`to_xyz`](Self::to_xyz), or
-    /// BT.709's weights where that is `None`.
+    /// Returns the contributions of red, green and blue to luminance: the second row of [`to_xyz`](Self::to_xyz). For
+    /// sRGB, and where the primaries span no colour space, these are the rounded weights of BT.709.
     pub fn luminance(&self) -> [f64; 3] {
         match (self.is_close(&Self::SRGB, 1e-6), self.to_xyz()) {
             (false, Some(m)) => [m[(1, 0)], m[(1, 1)], m[(1, 2)]],
-            // BT.709's weights, rounded as in the standard and in Radiance.
+            // BT.709's weights, rounded as in BT.709 and in Radiance.
             _ => [0.2126, 0.7152, 0.0722],
         }
     }
@@ -207,15 +207,15 @@ impl Conversion {
 
 /// Conversion between linear RGB and the XYZ of formats that store no primaries. Readers of these formats expect that
 /// grey has X = Y = Z (Radiance's `ra_xyze`, libtiff's LogLuv), so chromaticities are adapted to the equal-energy white
-/// by Bradford's transform. Y is exactly the luminance before this adaptation; the matrix alone would change it by some
-/// percent for saturated colours.
+/// by Bradford's transform. Y is set to the exact luminance before this adaptation, because the adaptation changes the
+/// Y of saturated colours by some percent.
 #[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct NeutralXyz {
     to_xyz: Conversion,
     to_rgb: Conversion,
     weights: [f32; 3],
-    /// Least and greatest ratio Y' / Y of all colours within the primaries, where Y is the luminance of a colour, and
+    /// Smallest and largest ratio Y' / Y of all colours within the primaries, where Y is the luminance of a colour, and
     /// Y' its luminance after the adaptation to the equal-energy white.
     keeps: [f32; 2],
 }
@@ -232,8 +232,8 @@ impl NeutralXyz {
         let none = Conversion([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
         let settled = settled(primaries).or_else(|| settled(&Primaries::SRGB));
         let (to_xyz, to_rgb, weights) = settled.unwrap_or((none, none, [0.0, 1.0, 0.0]));
-        // The ratio of any colour within the primaries is between the smallest and the largest ratio of the three
-        // primaries.
+        // The ratio Y' / Y of any colour within the primaries is between the smallest and the largest ratio of red,
+        // green and blue.
         let keeps = [0, 1, 2].map(|c| to_xyz.0[1][c] / weights[c]);
         let keeps = [keeps.into_iter().fold(f32::INFINITY, f32::min), keeps.into_iter().fold(0.0, f32::max)];
         NeutralXyz { to_xyz, to_rgb, weights, keeps }
@@ -253,9 +253,10 @@ impl NeutralXyz {
 
     /// Converts `xyz` to RGB whose luminance is the Y of `xyz`; components may be below 0.
     ///
-    /// Far outside of the visible chromaticities, the ratio of the luminances under the two whites has no bound. So it
-    /// is clamped to the range of the colours within the primaries, and the rest of the luminance is added as grey:
-    /// small finite XYZ give small finite RGB.
+    /// The matrix gives RGB of another luminance, so they are multiplied by the ratio of Y to that luminance. This
+    /// ratio has no bound far outside of the visible chromaticities. So it is clamped to `keeps`, its range within the
+    /// primaries, and the luminance that is still missing is added as grey. Small finite XYZ then give small finite
+    /// RGB.
     #[inline]
     pub fn to_rgb(&self, xyz: [f32; 3]) -> [f32; 3] {
         let rgb = self.to_rgb.apply(xyz);
@@ -287,7 +288,7 @@ fn adaptation(from: [f64; 2], to: [f64; 2]) -> Option<Matrix3<f64>> {
 mod tests {
     use super::*;
 
-    /// The matrices printed in the standards, to four decimal places.
+    /// Compares the matrices with those printed in the standards, to four decimal places.
     #[test]
     fn matrices_to_xyz_are_those_printed() {
         let srgb = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]];
@@ -334,7 +335,8 @@ mod tests {
                 let y: f64 = (0..3).map(|c| weights[c] * f64::from(rgb[c])).sum();
                 assert!((f64::from(xyz[1]) - y).abs() < 1e-6);
                 let back = neutral.to_rgb(xyz);
-                // At the edge of the space, Z after the adaptation may be below 0, and then becomes 0.
+                // At the edge of the space, Z may be below 0 after the adaptation, and is then set to 0, which causes a
+                // larger error.
                 let near = if rgb.contains(&0.0) { 0.01 } else { 1e-5 };
                 assert!(back.iter().zip(rgb).all(|(a, b)| (a - b).abs() < near), "{space:?} {rgb:?} {back:?}");
             }
@@ -342,8 +344,8 @@ mod tests {
         }
     }
 
-    /// If the ratio of the luminances under the two whites were not clamped, XYZ (21, 0.8, 1.1) would become RGB
-    /// (18616, -6821, 2): its luminance is 0.8 under one white and about 0 under the other.
+    /// If the ratio of the luminances before and after the adaptation were not clamped, XYZ (21, 0.8, 1.1) would become
+    /// RGB (18616, -6821, 2), because its luminance is 0.8 under one white and about 0 under the other.
     #[test]
     fn impossible_colours_keep_their_luminance_in_xyz() {
         let (neutral, weights) = (NeutralXyz::of(&Primaries::BT2020), Primaries::BT2020.luminance());

@@ -2,7 +2,7 @@
 //!
 //! In: a JPEG, PNG or TIFF, recognised by its content and not by its name. Out: interleaved RGB at the depth of the
 //! file, 8 or 16 bits; grey is repeated, alpha dropped, CMYK converted to RGB without its profile. Cost: that of the
-//! decoders, one more copy for 16-bit samples, and one more where the orientation is not 1.
+//! decoders, one copy for 16-bit samples, and another copy where the orientation is not 1.
 //!
 //! Damage is an error; missing image data is never replaced by a filler.
 
@@ -30,15 +30,15 @@ pub(super) struct Decoded {
     pub height: usize,
     /// Interleaved RGB.
     pub samples: Samples,
-    /// Memory in bytes needed to decode it, including the file.
+    /// Memory in bytes needed to decode the file, including the bytes of the file.
     pub decoding: u64,
-    /// Its EXIF, if any.
+    /// EXIF of the file, if any.
     pub exif: Option<Exif>,
     /// The ICC profile of the file, or one made from the colour chunks of a PNG; not yet parsed.
     pub icc: Option<Vec<u8>>,
     /// Whether the file has an alpha channel, which is dropped.
     pub has_alpha: bool,
-    /// Descriptions of what was ignored.
+    /// Descriptions of the metadata that was ignored.
     pub notes: Vec<String>,
 }
 
@@ -47,7 +47,7 @@ struct Stored {
     width: usize,
     height: usize,
     samples: Samples,
-    /// Memory in bytes needed to decode it, including the file.
+    /// Memory in bytes needed to decode the file, including the bytes of the file.
     decoding: u64,
     /// EXIF block from its TIFF header on; for a TIFF, the whole file.
     exif: Option<Vec<u8>>,
@@ -56,7 +56,7 @@ struct Stored {
     icc: Option<Vec<u8>>,
     /// Whether the file has an alpha channel, which is dropped.
     has_alpha: bool,
-    /// Descriptions of what was ignored.
+    /// Descriptions of the metadata that was ignored.
     notes: Vec<String>,
 }
 
@@ -74,8 +74,8 @@ pub(super) fn check_format(path: &Path, begin: &[u8]) -> Result<()> {
 /// Decodes `bytes`, the content of the file `path`, within `limits`.
 ///
 /// # Errors
-/// [`Error::UnknownFormat`] with what the content looks like; [`Error::Decode`] for damage, unsupported kinds and
-/// excessive sizes.
+/// [`Error::UnknownFormat`], which describes what the content looks like; [`Error::Decode`] for damage, unsupported
+/// kinds and excessive sizes.
 pub(super) fn decode(path: &Path, bytes: Vec<u8>, limits: &Limits) -> Result<Decoded> {
     let format = sniff::format(&bytes).map_err(|found| Error::UnknownFormat { path: path.into(), found })?;
     // A decoder that panics on a damaged file must fail that file only.
@@ -125,7 +125,7 @@ pub(super) struct Head {
     pub height: usize,
     /// Bits per sample; fewer than 8 count as 8.
     pub depth: u8,
-    /// Its EXIF, if any.
+    /// EXIF of the file, if any.
     pub exif: Option<Exif>,
     /// The program that wrote the file, where it is named outside of EXIF.
     pub software: Option<String>,
@@ -143,11 +143,11 @@ struct Found {
     refused: Option<Reason>,
 }
 
-/// Number of bytes read at a time: a fraction of most EXIF blocks, and much more than a chunk header.
+/// Number of bytes read at a time. Many chunk headers fit into it; most EXIF blocks are larger.
 const AT_ONCE: usize = 8192;
 
-/// Reads the header of `file`, the content of the file `path`, without decoding pixels; from the EXIF of a TIFF, only
-/// the `wanted` tags. Damage of the pixel data is not detected.
+/// Reads the header of `file`, the content of the file `path`, without decoding pixels. From the EXIF of a TIFF, only
+/// the `wanted` tags are read. Damage of the pixel data is not detected.
 ///
 /// # Errors
 /// [`Error::Read`]; [`Error::UnknownFormat`]; [`Error::Decode`] where the size is unknown, zero or beyond `limits`.
@@ -185,7 +185,7 @@ fn to_rgb<T: Copy>(values: Vec<T>, channels: usize) -> Vec<T> {
     }
 }
 
-/// Converts CMYK to RGB without a profile, where `max` is full ink: each channel is (1 - ink) * (1 - black).
+/// Converts CMYK to RGB without a profile: each channel is (1 - ink) * (1 - black), where `max` stands for an ink of 1.
 fn cmyk_to_rgb<T: Copy + Into<u32> + TryFrom<u32>>(inks: &[T], max: u32) -> Vec<T> {
     let light = |ink: T, black: T| {
         let product = (max - ink.into()) as u64 * (max - black.into()) as u64;

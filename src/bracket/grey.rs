@@ -1,7 +1,7 @@
 //! Grey values for the alignment, row by row.
 //!
-//! In: a row of interleaved RGB pixel values. Out: (54 R + 183 G + 19 B) / 256 (Ward 2003, section 2), at 8 bits for
-//! either depth. Cost: that of reading the pixel values.
+//! In: a row of interleaved RGB pixel values, of 8 or 16 bits. Out: (54 R + 183 G + 19 B) / 256 (Ward 2003, section 2),
+//! as 8 bits. Cost: that of reading the pixel values.
 
 use super::{Codes, Window};
 use crate::simd::{Loops, vectorised};
@@ -104,7 +104,7 @@ mod tests {
 
     #[test]
     fn rows_of_grey_are_the_definition_pixel_by_pixel() {
-        // Each row is longer than any SIMD vector, and its length is not a multiple of one.
+        // Each row is longer than any SIMD vector, and its length is not a multiple of the length of a SIMD vector.
         let (width, height) = (203, 3);
         let codes: Vec<u16> = (0..3 * width * height).map(|i| (i * 40_503 % 65_536) as u16).collect();
         let eight = Samples::Eight(codes.iter().map(|c| (c >> 8) as u8).collect());

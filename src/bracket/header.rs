@@ -1,8 +1,8 @@
 //! Reads the header of a photograph without decoding its pixels.
 //!
-//! In: a path. Out: a [`Header`]: the size as decoded, camera, time, exposure, and bracketing data. Cost: some 10 to 60
-//! kB read, with seeks, and 0.1 ms. Source: EXIF 2.32, sections 4.6.4 and 4.6.5; for Canon's maker note, which holds
-//! the position in an automatic bracket and the serial number, P. Harvey's ExifTool, "Canon Tags".
+//! In: a path. Out: a [`Header`]: the size that the decoder would return, camera, time, exposure, and bracketing data.
+//! Cost: 0.1 ms; 10 to 60 kB are read, with seeks. Source: EXIF 2.32, sections 4.6.4 and 4.6.5. Canon's maker note
+//! contains the position in an automatic bracket and the serial number: P. Harvey's ExifTool, "Canon Tags".
 
 use super::Capture;
 use super::decode;
@@ -63,7 +63,7 @@ pub struct Header {
     pub software: Option<String>,
 }
 
-/// The tags read for a header; from a TIFF, they are read one by one.
+/// The tags read for a header. From a TIFF, only these tags are read, one by one.
 const WANTED: [Tag; 25] = [
     Tag::Make,
     Tag::Model,
@@ -96,9 +96,10 @@ impl Header {
     /// Reads the header of the photograph `path` within `limits`.
     ///
     /// # Errors
-    /// [`Error::Read`](crate::error::Error::Read); [`Error::UnknownFormat`](crate::error::Error::UnknownFormat) and
-    /// [`Error::Decode`](crate::error::Error::Decode) where the decoder would reject the kind or size of the image as
-    /// well. Results of hdralign are not rejected.
+    /// [`Error::Read`](crate::error::Error::Read) where the file cannot be read.
+    /// [`Error::UnknownFormat`](crate::error::Error::UnknownFormat) and [`Error::Decode`](crate::error::Error::Decode)
+    /// where the decoder would also reject the kind or size of the image. The kind of image is not checked for results
+    /// of hdralign.
     pub fn read(path: &Path, limits: &Limits) -> Result<Self> {
         Header::of(path, intake::open_regular(path)?, limits)
     }
@@ -156,7 +157,7 @@ fn number(exif: Option<&Exif>, tag: Tag) -> Option<f64> {
     exif.and_then(|e| first_number(&e.get_field(tag, In::PRIMARY)?.value))
 }
 
-/// Values from Canon's maker note: a TIFF directory with offsets from the start of the EXIF block.
+/// Values from Canon's maker note, which is a TIFF directory whose offsets count from the start of the EXIF block.
 #[derive(Default)]
 struct Canon {
     bracket_stops: Option<f64>,
@@ -181,7 +182,7 @@ impl Canon {
         let begin = *at as usize;
         let count = usize::from(short(begin)?).min(note.len() / 12);
         let entry = |tag: u16| (0..count).map(|i| begin + 2 + 12 * i).find(|&at| short(at) == Some(tag));
-        // ShotInfo (tag 4) is an array of 16-bit integers; index 17 is AEBBracketValue.
+        // ShotInfo (tag 4) is an array of 16-bit integers; the integer at index 17 is AEBBracketValue.
         let bracket_stops = || {
             let entry = entry(4)?;
             let is_there = short(entry + 2)? == 3 && long(entry + 4)? > 17;
@@ -196,7 +197,8 @@ impl Canon {
     }
 }
 
-/// Converts Canon's exposure unit to stops: 32 per stop, with 12 and 20 for one and two thirds of a stop.
+/// Converts an exposure offset of Canon's maker note to stops. The unit is 1/32 stop, but the remainders 12 and 20
+/// stand for exactly one and two thirds of a stop.
 fn canon_stops(value: i16) -> f64 {
     let (whole, part) = (value.unsigned_abs() & !31, value.unsigned_abs() & 31);
     let part = match part {
@@ -211,7 +213,8 @@ fn canon_stops(value: i16) -> f64 {
 mod tests {
     use super::*;
 
-    /// Returns the EXIF of a Canon whose maker note has a serial number, and ShotInfo at the offset `at` of the block.
+    /// Returns the EXIF of a Canon whose maker note has a serial number, and points to ShotInfo at the offset `at` from
+    /// the start of the EXIF block.
     fn canon(at: u32, bracket: i16) -> Exif {
         let mut note = 2_u16.to_be_bytes().to_vec();
         let entry = |tag: u16, kind: u16, count: u32, value: u32| {

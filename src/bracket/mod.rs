@@ -1,8 +1,8 @@
 //! Brackets: differently exposed photographs of one scene, decoded and sorted by exposure.
 //!
 //! In: paths. Out: a [`Bracket`] of [`Frame`]s by rising exposure. Frames keep the pixel values that the camera wrote
-//! (8 or 16 bit, camera-encoded, orientation applied), three integers per pixel, in memory or, where memory is
-//! limited, on disk. Cost: that of the decoders, one frame per thread.
+//! (8 or 16 bit, camera-encoded, orientation applied), three integers per pixel, in memory or, where memory is limited,
+//! on disk. Cost: that of the decoders, which run in parallel, one frame per thread.
 
 pub mod colour;
 mod decode;
@@ -115,9 +115,9 @@ pub struct Frame {
     store: Store,
     /// Number of sampled pixels that are well exposed: see [`reference::well_exposed`].
     well_exposed: u64,
-    /// Its exposure.
+    /// Exposure of the frame.
     pub exposure: Exposure,
-    /// Its colour profile; sRGB is assumed where there is none.
+    /// Colour profile of the frame; sRGB is assumed where there is none.
     pub profile: Option<Profile>,
     /// Other capture data.
     pub capture: Capture,
@@ -135,7 +135,8 @@ impl Frame {
         Frame::stored(path, (width, height), Store::Held(samples), well_exposed, exposure)
     }
 
-    /// Same as [`new`](Self::new), for pixel values in memory or on disk whose well-exposed pixels are already counted.
+    /// Same as [`new`](Self::new), but the pixel values may be on disk, and the well-exposed pixels are already
+    /// counted.
     fn stored(path: PathBuf, size: (usize, usize), store: Store, well_exposed: u64, exposure: Exposure) -> Self {
         let (width, height) = size;
         assert!(width > 0 && height > 0 && store.len() == 3 * width * height, "a frame holds three samples a pixel");
@@ -152,7 +153,7 @@ impl Frame {
         }
     }
 
-    /// Path of the file it was read from.
+    /// Path of the file that the frame was read from.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -202,8 +203,8 @@ impl Frame {
         self.profile.as_ref().and_then(|profile| profile.primaries).unwrap_or(Primaries::SRGB)
     }
 
-    /// Computes the grey image used for alignment: (54 R + 183 G + 19 B) / 256 (Ward 2003, section 2), at 8 bits for 8-
-    /// and 16-bit frames.
+    /// Computes the grey image used for alignment: (54 R + 183 G + 19 B) / 256 (Ward 2003, section 2). The result has 8
+    /// bits for frames of 8 and of 16 bits.
     ///
     /// # Errors
     /// [`Error::Scratch`] where the frame is on disk and cannot be read.
@@ -223,7 +224,7 @@ impl Frame {
     /// Computes [`grey`](Self::grey), or [`grey_brightened`](Self::grey_brightened) where `stops` is given.
     pub(crate) fn greys(&self, stops: Option<u32>) -> Result<Plane<u8>> {
         let mut grey = Plane::filled(self.width, self.height, 0);
-        // In parts, so that a frame on disk is never held in memory as a whole.
+        // The frame is read in parts, so that a frame on disk is never held in memory as a whole.
         for first in (0..self.height).step_by(READ_ROWS) {
             let window = self.window(first..self.height.min(first + READ_ROWS))?;
             let rows = &mut grey.as_mut_slice()[first * self.width..][..window.rows().len() * self.width];
@@ -346,7 +347,8 @@ impl Bracket {
         if self.on_disk.is_some() { 1 } else { rayon::current_num_threads() }
     }
 
-    /// Applies `map`, which reads a whole frame, to every frame, in order.
+    /// Applies `map` to every frame and returns the results in the order of the frames. `map` reads a whole frame, so
+    /// frames on disk are processed one at a time.
     pub(crate) fn map_whole<R: Send>(&self, map: impl Fn(&Frame) -> R + Sync) -> Vec<R> {
         let at_once = if self.on_disk.is_some() { 1 } else { self.frames.len() };
         map_at_once(self.frames.len(), at_once, |i| map(&self.frames[i]))

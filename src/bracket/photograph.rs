@@ -21,7 +21,7 @@ pub struct Photograph {
     pub height: usize,
     /// Pixel values, three per pixel; grey is repeated, alpha dropped.
     pub samples: Samples,
-    /// Its colour profile; sRGB is assumed where there is none.
+    /// Colour profile of the photograph; sRGB is assumed where there is none.
     pub profile: Option<Profile>,
     /// Whether the file has an alpha channel, which is dropped.
     pub has_alpha: bool,

@@ -9,19 +9,20 @@ use std::path::{Path, PathBuf};
 /// How the reference frame is chosen.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub enum ReferenceChoice {
-    /// The best-exposed frame: the one with the most pixels in which no channel is near an end of the range of pixel
-    /// values; of frames within 5 % of the best, the one nearest the middle of the bracket.
+    /// The best-exposed frame: the one with the most pixels in which every channel is between 1/16 and 15/16 of the
+    /// range of pixel values. If several frames have at least 95 % of the largest number of such pixels, the one of
+    /// them that is nearest the middle of the bracket.
     #[default]
     Auto,
     /// Same as [`Auto`](Self::Auto), but without these files.
     AutoExcept(Vec<PathBuf>),
-    /// The number of a file in the order given, from 1.
+    /// The file with this number, in the order given; the first file has number 1.
     Number(usize),
     /// The frame read from this file.
     File(PathBuf),
 }
 
-/// Returns the path chosen by the user among `paths`, in the order given; `None` for the automatic choice.
+/// Returns the path that the user chose among `paths`, which are in the order given; `None` for the automatic choice.
 pub(super) fn chosen(paths: &[&Path], choice: &ReferenceChoice) -> Result<Option<PathBuf>> {
     match choice {
         ReferenceChoice::Auto | ReferenceChoice::AutoExcept(_) => Ok(None),
@@ -60,7 +61,7 @@ pub(super) fn paths(frames: &[Frame]) -> Vec<&Path> {
 }
 
 /// Returns the index of the best-exposed frame: see [`ReferenceChoice::Auto`]. Frames must be sorted by rising
-/// exposure. Excluded frames and those in `except` are not chosen unless there is no other.
+/// exposure. Excluded frames and those in `except` are chosen only if no other frame is left.
 pub(super) fn best(frames: &[Frame], except: &[PathBuf]) -> usize {
     let paths = paths(frames);
     let mut excluded: Vec<usize> = except.iter().filter_map(|path| named(&paths, path)).collect();
@@ -81,11 +82,11 @@ pub(super) fn best_of(frames: &[Frame], is_open: impl Fn(usize) -> bool) -> Opti
         .min_by_key(|&i| ((2 * i as i64 - centre).abs(), i))
 }
 
-/// Counts the pixels with all channels within 1/16 .. 15/16 of the range, among every fourth pixel of every fourth row
-/// of an image `width` pixels wide.
+/// Counts the pixels with all channels between 1/16 and 15/16 of the range. Only every fourth pixel of every fourth row
+/// of the image, which is `width` pixels wide, is examined.
 pub(super) fn well_exposed(samples: &Samples, width: usize) -> u64 {
     fn count<T: Copy + PartialOrd>(v: &[T], width: usize, low: T, high: T) -> u64 {
-        // Branch-free, because the branches would be hard to predict.
+        // The test has no branches, because they would be hard to predict.
         let inside = |p: &[T]| p.iter().fold(true, |all, &c| all & (c >= low) & (c <= high));
         v.chunks_exact(3 * width)
             .step_by(4)

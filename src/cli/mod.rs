@@ -1,7 +1,8 @@
-//! The command line: arguments to library options, progress, printing, exit codes.
+//! The command line: conversion of arguments to library options, progress, printing, and exit codes.
 //!
-//! stdout carries results only: the paths written, JSON with `--json`, or the requested text (the brackets of a
-//! dry run, settings, help, completions, the man page). Everything else goes to stderr.
+//! Only results are printed to stdout: the paths of the written files, JSON with `--json`, or text that the user
+//! requested (the brackets of a dry run, parameters, help, completions, the man page). Everything else goes to
+//! stderr.
 
 mod arguments;
 mod commands;
@@ -20,7 +21,7 @@ use std::io::Write;
 use std::process::ExitCode;
 use terminal::Terminal;
 
-/// Groups of options in `--help`.
+/// Headings of the groups of options in `--help`.
 mod heading {
     pub const MODE: &str = "Mode";
     pub const INPUT: &str = "Input";
@@ -82,7 +83,7 @@ Examples:
   hdralign compare golden/room.exr room.exr";
 
 impl Command {
-    /// Returns the name of the command on the command line.
+    /// Returns the name of the command, as typed on the command line.
     fn name(&self) -> &'static str {
         match self {
             Command::Merge(_) => "merge",
@@ -98,7 +99,7 @@ impl Command {
     }
 }
 
-/// Returns the definition of the command line. `-h` of a command that has more options says so.
+/// Returns the definition of the command line. If a command has options that `-h` does not show, its help says so.
 fn program() -> clap::Command {
     Cli::command().mut_subcommands(|command| {
         if !command.get_arguments().any(clap::Arg::is_hide_short_help_set) {
@@ -113,7 +114,7 @@ fn program() -> clap::Command {
     })
 }
 
-/// Runs the command line of this process.
+/// Runs the program with the command line of this process, and returns the exit code.
 pub fn run() -> ExitCode {
     process::panics::guarded(run_command)
 }
@@ -148,13 +149,13 @@ fn run_command() -> ExitCode {
     ended(name, outcome)
 }
 
-/// Returns the exit code of the command `name`; prints the error if it failed.
+/// Returns the exit code of the command `name`. If the command failed, prints the error.
 fn ended(name: &str, outcome: Result<ExitCode, Error>) -> ExitCode {
     match outcome {
         Ok(code) => code,
         Err(error) => {
             process::interrupt::give_way();
-            // The library does not know the name of the command, so the example is added here.
+            // The example contains the name of the command, which the library does not know. So it is appended here.
             let example = match error {
                 Error::TooFewFrames { .. } => format!(", as in `hdralign {name} IMG_1.jpg IMG_2.jpg IMG_3.jpg`"),
                 _ => String::new(),
@@ -163,13 +164,14 @@ fn ended(name: &str, outcome: Result<ExitCode, Error>) -> ExitCode {
             for (i, line) in Terminal::of_stderr().wrapped(&words, 10).iter().enumerate() {
                 say(format_args!("{}{line}", if i == 0 { "hdralign: " } else { "          " }));
             }
-            // `compare` exits with 1 if the files differ, so its errors exit with 2.
+            // Exit code 1 of `compare` means that the files differ. So an error of `compare` has exit code 2.
             ExitCode::from(if error.is_usage() || name == "compare" { 2 } else { 1 })
         }
     }
 }
 
-/// Prints the help or the version on stdout, or an error of the arguments on stderr, and returns the exit code.
+/// `asked` is what clap returns instead of arguments. Prints it (help and version on stdout, an error in the
+/// arguments on stderr), and returns the exit code.
 fn answer(asked: &clap::Error) -> ExitCode {
     let printed = asked.print().and_then(|()| std::io::stdout().flush());
     match printed.map_or_else(lost, Ok) {
@@ -181,7 +183,7 @@ fn answer(asked: &clap::Error) -> ExitCode {
     }
 }
 
-/// Prints the summary and the results, and returns the exit code.
+/// Prints the summary on stderr and the results on stdout, and returns the exit code.
 fn finish(report: &Report, options: &Results) -> Result<ExitCode, Error> {
     if !options.work.quiet {
         summary::print(report, options.verbose);
@@ -208,7 +210,8 @@ fn tell(results: &str) -> Result<(), Error> {
     stdout.write_all(results.as_bytes()).and_then(|()| stdout.flush()).or_else(lost)
 }
 
-/// Handles a failed write to stdout. A closed pipe is not an error, because the files are written.
+/// Handles the error of a write to stdout. A closed pipe is not an error of the program, because the result files are
+/// complete.
 fn lost(source: std::io::Error) -> Result<(), Error> {
     if source.kind() == std::io::ErrorKind::BrokenPipe {
         return Ok(());
@@ -218,7 +221,7 @@ fn lost(source: std::io::Error) -> Result<(), Error> {
     Err(Error::Write { path: "standard output".into(), source })
 }
 
-/// Prints a line on stderr. Failures are ignored: a full disk or a closed pipe must not stop the run.
+/// Prints a line on stderr. Errors are ignored, because a full disk or a closed pipe must not stop the run.
 fn say(line: impl std::fmt::Display) {
     let _ = writeln!(std::io::stderr().lock(), "{line}");
 }

@@ -1,8 +1,9 @@
-//! The progress bar: on a terminal only, and on stderr.
+//! The progress bar on stderr. It is shown only if stderr is a terminal.
 //!
-//! In: the photographs, and the stages as they start. Out: a bar, the stage, and the time left. Stages report when they
-//! start, but not their progress. The time of each stage is estimated from the number and size of the photographs and
-//! from the speed of earlier stages; a thread moves the bar five times a second. The bar never moves back.
+//! In: the photographs, and the stages as they start. Out: a bar, the name of the stage, and the time left. Stages
+//! report only when they start, except that loading also reports the number of decoded frames. So the time of each
+//! stage is estimated from the number and size of the photographs and from the speed of earlier stages. A thread
+//! moves the bar five times a second. The bar never moves back.
 
 use super::terminal::Terminal;
 use hdralign::bracket::header::Header;
@@ -17,12 +18,12 @@ use std::time::{Duration, Instant};
 
 /// Number of steps of the bar.
 const STEPS: u64 = 1000;
-/// Interval between updates.
+/// Interval between two updates of the bar.
 const TICK: Duration = Duration::from_millis(200);
-/// Size that is assumed for a photograph whose header cannot be read, in megapixels.
+/// Assumed size of a photograph whose header cannot be read, in megapixels.
 const USUAL_MEGAPIXELS: f64 = 12.0;
 
-/// A stage, and its estimated time on two cores in seconds.
+/// A stage, and its estimated time in seconds on a machine with two cores.
 type Planned = (Stage, f64);
 
 /// The stages of a command and their estimated times.
@@ -63,7 +64,8 @@ impl Plan {
         plan
     }
 
-    /// Returns the plan of `tonemap`; the file is assumed to have four bytes per pixel.
+    /// Returns the plan of `tonemap`. The size of the picture is estimated from the size of the file, at four bytes
+    /// per pixel.
     pub fn tonemap(input: &Path) -> Plan {
         let bytes = std::fs::metadata(input).map_or(4e6 * USUAL_MEGAPIXELS, |m| m.len() as f64);
         let megapixels = bytes / 4e6;
@@ -71,7 +73,8 @@ impl Plan {
         Plan { frames: 0, stages: stages.map(|(stage, each)| (stage, each * megapixels)).to_vec() }
     }
 
-    /// Returns an empty plan for `response`, where the number of brackets is not known: no time left is shown.
+    /// Returns an empty plan, for which no time left is shown. `response` uses it, because the number of brackets is
+    /// not known.
     pub fn unknown() -> Plan {
         Plan { frames: 0, stages: Vec::new() }
     }
@@ -79,35 +82,35 @@ impl Plan {
 
 /// Returns the number of photographs, and their size in megapixels from the header of the first photograph.
 fn size(images: &[PathBuf]) -> (f64, f64) {
-    // Our own header reader decompresses nothing and does not read from pipes.
+    // This reader of headers decompresses nothing, and it does not read from pipes.
     let header = images.first().and_then(|path| Header::read(path, &Limits::default()).ok());
     let megapixels = header.map_or(USUAL_MEGAPIXELS, |header| header.width as f64 * header.height as f64 / 1e6);
     (images.len() as f64, megapixels)
 }
 
-/// Progress of a run.
+/// The estimated progress of a run.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Estimate {
-    /// Share of the run that is done, from 0 to 1.
+    /// Estimated fraction of the run that is done, from 0 to 1.
     done: f64,
     /// Time left in seconds; `None` until the speed of the machine is known.
     left_s: Option<f64>,
 }
 
-/// Computes progress from elapsed time.
+/// Computes the progress of a run from the elapsed time.
 #[derive(Debug, Clone)]
 struct Course {
     plan: Plan,
     /// The current stage, and its index in the plan.
     stage: Option<(Stage, Option<usize>)>,
-    /// Measured seconds of the earlier stages.
+    /// Measured time of the earlier stages, in seconds.
     spent: f64,
-    /// Estimated seconds of the earlier stages.
+    /// Estimated time of the same earlier stages, in seconds.
     planned: f64,
-    /// Start of the current stage, in seconds after the start of the run.
+    /// Start time of the current stage, in seconds after the start of the run.
     began: f64,
     decoded: usize,
-    /// The largest share of the run that was shown as done so far.
+    /// The largest fraction of the run that was shown as done so far. The bar never moves below it.
     shown: f64,
 }
 
@@ -116,14 +119,15 @@ impl Course {
         Course { plan, stage: None, spent: 0.0, planned: 0.0, began: 0.0, decoded: 0, shown: 0.0 }
     }
 
-    /// Starts a stage, `now` seconds after the start of the run.
+    /// Records that `stage` starts, `now` seconds after the start of the run.
     fn begins(&mut self, stage: Stage, now: f64) {
         if self.stage.is_some_and(|(current, _)| current == stage) {
             return;
         }
         let place = self.plan.stages.iter().position(|(planned, _)| *planned == stage);
         let first = self.stage.and_then(|(_, place)| place).unwrap_or(0);
-        // Only the stage that ends now counts for the speed. Stages between it and the new stage were skipped.
+        // The stage that ends now contributes to the speed. If there are planned stages between it and the new stage,
+        // they were skipped and do not contribute.
         if place.is_some_and(|place| place > first) {
             self.spent += now - self.began;
             self.planned += self.plan.stages[first].1;
@@ -131,8 +135,8 @@ impl Course {
         (self.stage, self.began) = (Some((stage, place)), now);
     }
 
-    /// Returns the ratio of measured to estimated time; `None` before the first measurement. `in_stage` is the time
-    /// since the start of the current stage, in seconds.
+    /// Returns the measured time divided by the estimated time; `None` before the first measurement. `in_stage` is
+    /// the time since the start of the current stage, in seconds.
     fn speed(&self, in_stage: f64) -> Option<f64> {
         let loads = matches!(self.stage, Some((Stage::Load, _)));
         if loads && self.decoded > 0 && self.plan.frames > 0 {
@@ -149,7 +153,8 @@ impl Course {
         let Some(speed) = self.speed(in_stage) else { return Estimate { done: self.shown, left_s: None } };
         let speed = speed.clamp(0.02, 50.0);
         let expected = speed * self.plan.stages[place].1;
-        // A stage that exceeds its estimate is assumed to need a little more time.
+        // If a stage takes longer than estimated, it is assumed to need another 15 % of the time that it has taken so
+        // far.
         let rest = (expected - in_stage).max(0.15 * in_stage);
         let later: f64 = self.plan.stages[place + 1..].iter().map(|(_, planned)| speed * planned).sum();
         let left = rest + later;
@@ -157,7 +162,7 @@ impl Course {
         Estimate { done: self.shown, left_s: Some(left) }
     }
 
-    /// Returns the current stage with its number, as shown beside the bar.
+    /// Returns the name of the current stage and its number, as shown beside the bar.
     fn words(&self) -> String {
         let Some((stage, place)) = self.stage else { return String::new() };
         let doing = match stage {
@@ -179,7 +184,7 @@ impl Course {
     }
 }
 
-/// Returns the time left as text; longer times are rounded more.
+/// Returns the time left as text. The longer it is, the more it is rounded.
 pub fn left(left_s: Option<f64>) -> String {
     match left_s {
         None => String::new(),
@@ -191,7 +196,7 @@ pub fn left(left_s: Option<f64>) -> String {
     }
 }
 
-/// State shared by the stages and the thread that moves the bar.
+/// The state that the thread of the run and the thread that moves the bar share.
 struct Shared {
     course: Mutex<Course>,
     is_over: Mutex<bool>,
@@ -206,20 +211,21 @@ pub struct Bar {
     thread: Option<JoinHandle<()>>,
 }
 
-/// Locks `mutex`. Poisoning is ignored, because the data are only used for drawing.
+/// Locks `mutex`. A poisoned mutex is used too, because the data are only for drawing.
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Bar {
-    /// Creates a bar for `plan`. Nothing is shown if `quiet`, or if stderr is not a terminal that can redraw.
+    /// Creates a bar for `plan`. It is not shown if `quiet` is true, or if stderr is not a terminal whose cursor can
+    /// be moved.
     pub fn new(plan: Plan, quiet: bool) -> Self {
         let terminal = Terminal::of_stderr();
         let is_shown = terminal.can_redraw && !quiet;
         let target = if is_shown { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
         let bar = ProgressBar::with_draw_target(Some(STEPS), target);
-        // The parts beside the bar take 42 of at most 79 columns: stage 18, brackets and spaces 4, percentage 5, spaces
-        // 2, time left 13.
+        // The line has at most 79 columns. The parts beside the bar take 42 of them: stage 18, brackets and spaces 4,
+        // percentage 5, two spaces, time left 13. Two columns stay free.
         let room = terminal.width.min(79).saturating_sub(44).clamp(8, 35);
         if let Ok(style) =
             ProgressStyle::with_template(&format!("{{msg:18!}} [{{bar:{room}}}] {{percent:>3}} %  {{prefix}}"))
@@ -235,7 +241,8 @@ impl Bar {
         bar
     }
 
-    /// Starts the thread that moves the bar. If it cannot be started, the bar moves only when a stage starts.
+    /// Starts the thread that moves the bar. If the thread cannot be started, the bar moves only when the run reports
+    /// progress.
     fn ticker(&self) -> Option<JoinHandle<()>> {
         let (bar, began, shared) = (self.bar.clone(), self.began, Arc::clone(&self.shared));
         let tick = move || {
@@ -248,7 +255,7 @@ impl Bar {
         std::thread::Builder::new().name("hdralign bar".into()).spawn(tick).ok()
     }
 
-    /// Shows the progress. Never cancels the run.
+    /// Shows `progress`. The returned value always tells the run to continue.
     pub fn show(&self, progress: Progress) -> ControlFlow<()> {
         let mut course = locked(&self.shared.course);
         match progress {
@@ -264,7 +271,7 @@ impl Bar {
         *locked(&self.shared.is_over) = true;
         self.shared.wake.notify_all();
         if let Some(thread) = self.thread.take() {
-            // The thread only draws, so its failure is ignored.
+            // The thread only draws, so a panic in it is ignored.
             let _ = thread.join();
         }
         self.bar.finish_and_clear();
@@ -299,8 +306,8 @@ mod tests {
         course.begins(Stage::Load, 0.0);
         assert_eq!(course.estimate(0.2), Estimate { done: 0.0, left_s: None });
         course.decoded = 1;
-        // One of four frames is decoded: 0.25 s of the plan took 0.5 s, so the plan of 8 s takes 16 s, of which 15.5 s
-        // are left.
+        // One of four frames is decoded. This is a quarter of the load stage, which is planned as 1 s, and it took
+        // 0.5 s instead of 0.25 s. So the whole plan of 8 s will take 16 s, and 15.5 s are left.
         let estimate = course.estimate(0.5);
         assert!((estimate.left_s.unwrap() - 15.5).abs() < 1e-9 && (estimate.done - 0.5 / 16.0).abs() < 1e-9);
         course.begins(Stage::Align, 2.0);
@@ -321,8 +328,8 @@ mod tests {
             assert!(estimate.done >= last && estimate.done < 1.0 && estimate.left_s.unwrap() > 5.0);
             last = estimate.done;
         }
-        // Load and align took 201 s instead of the planned 3 s, so merge and write, planned as 5 s, will take over 200
-        // s.
+        // Load and align took 201 s instead of the planned 3 s. So merge and write, which are planned as 5 s, will
+        // take over 200 s.
         course.begins(Stage::Merge, 201.0);
         assert!(course.estimate(201.0).left_s.unwrap() > 200.0);
         assert!(course.estimate(201.0).done >= last);

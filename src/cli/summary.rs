@@ -1,5 +1,5 @@
-//! The summary on stderr: warnings, then six lines. There is one more line if something moved, and one if the white
-//! balance was changed.
+//! The summary on stderr: the warnings, then six lines. There is one more line if something moved in the scene, and
+//! one if the user changed the white balance.
 
 use super::say;
 use super::terminal::{Terminal, shortened};
@@ -8,12 +8,13 @@ use hdralign::report::{FrameReport, Report, WarningReport};
 use hdralign::tonemap::adjust::Light;
 use std::path::Path;
 
-/// Width of the labels, in columns.
+/// Width of the label at the start of each line, in columns.
 const LABEL: usize = 11;
-/// Confidence below which a frame is reported as uncertain.
+/// A frame is reported as uncertain if the confidence of its alignment is below this.
 const UNCERTAIN: f64 = 0.5;
 
-/// Prints the warnings and a summary of `report`; with `verbose`, a line for each frame and the time of each stage.
+/// Prints the warnings and the summary of `report`. With `verbose`, also prints a line for each frame and a line with
+/// the time of each stage.
 pub fn print(report: &Report, verbose: bool) {
     let terminal = Terminal::of_stderr();
     warn(&report.warnings, &terminal);
@@ -26,7 +27,7 @@ pub fn print(report: &Report, verbose: bool) {
     lines(report, &terminal).iter().for_each(say);
 }
 
-/// Prints warnings, wrapped to the width of the terminal.
+/// Prints `warnings`, wrapped to the width of the terminal.
 pub fn warn(warnings: &[WarningReport], terminal: &Terminal) {
     for warning in warnings {
         let label = "warning:";
@@ -40,7 +41,7 @@ pub fn warn(warnings: &[WarningReport], terminal: &Terminal) {
     }
 }
 
-/// Returns the line with the time of each stage.
+/// Returns a line with the times of all stages.
 fn times(report: &Report) -> String {
     let times = &report.time_s;
     let stages = [
@@ -55,7 +56,7 @@ fn times(report: &Report) -> String {
     spent.join(", ")
 }
 
-/// Returns the lines: size, alignment, movement, white balance, frames used, range, files, time.
+/// Returns the lines of the summary: size, alignment, movement, white balance, frames used, range, files, time.
 fn lines(report: &Report, terminal: &Terminal) -> Vec<String> {
     let merged = if report.radiance.is_some() { "merged" } else { "read" };
     let problems = problems(report, terminal.room(LABEL));
@@ -81,13 +82,14 @@ fn lines(report: &Report, terminal: &Terminal) -> Vec<String> {
     all.into_iter().flatten().collect()
 }
 
-/// Returns the option that sets the white balance `light`.
+/// Returns the command-line option that sets the white balance to `light`.
 pub fn white(light: Light) -> String {
     format!("--white-balance {light}")
 }
 
-/// Returns the share of the picture where something moved, the place of most of it, and the frame that is shown there,
-/// in at most `room` columns if possible; `None` if nothing moved or deghosting is off.
+/// Returns a text about what moved in the scene: the fraction of the picture in which something moved, where most of
+/// it is, and the frame that is shown there. The text has at most `room` columns if possible. Returns `None` if
+/// nothing moved or deghosting is off.
 fn movement(report: &Report, room: usize) -> Option<String> {
     let ghosts = report.ghosts.as_ref()?;
     let place = ghosts.place((report.crop.width_px, report.crop.height_px))?;
@@ -98,7 +100,7 @@ fn movement(report: &Report, room: usize) -> Option<String> {
     let reference = report.frames.iter().find(|frame| frame.alignment.status == Status::Reference);
     let shown = reference.map_or_else(String::new, |frame| format!("; shown as in {}", name(&frame.path)));
     let words = format!("in {percent} % of the picture, mostly {place}{shown}");
-    // Where the reference frame is clipped, its surroundings are continued.
+    // Where something moved and the reference frame is clipped, the result is filled in from the surroundings.
     let filled = if ghosts.continued_fraction > 0.0 { ", partly filled in" } else { "" };
     Some(if words.chars().count() + filled.len() <= room { words + filled } else { words })
 }
@@ -114,7 +116,7 @@ fn size(report: &Report) -> String {
     format!("{count}, {width} x {height} pixels{megapixels}")
 }
 
-/// Returns how far the frames moved as text of at most `room` columns.
+/// Returns a text of at most `room` columns (if possible) that says how far the frames moved.
 fn aligned(report: &Report, room: usize) -> String {
     let with = |status| report.frames.iter().filter(move |f| f.alignment.status == status);
     let (moved, unmoved) = (with(Status::Aligned).count(), with(Status::Unmoved).count());
@@ -122,7 +124,7 @@ fn aligned(report: &Report, room: usize) -> String {
         |value: &dyn Fn(&FrameReport) -> Option<f64>| with(Status::Aligned).filter_map(value).fold(0.0, f64::max);
     let shift = largest(&|f| f.alignment.shift_px.map(|[x, y]| x.hypot(y)));
     let angle = largest(&|f| f.alignment.rotation_deg.map(f64::abs));
-    // Error estimates are not more accurate than 0.1 px.
+    // At least 0.1 px is shown, because error estimates are not more accurate than that.
     let error = largest(&|f| f.alignment.error_px).max(0.1);
     let mut words = Vec::new();
     if moved > 0 {
@@ -139,24 +141,25 @@ fn aligned(report: &Report, room: usize) -> String {
     if let Some(path) = &report.transforms_from {
         words.push(format!("transforms from {}", name(path)));
     }
-    // If the text is too long, the last part is dropped, because it matters least.
+    // If the text is too long, its last part is removed, because it is the least important.
     while words.len() > 1 && words.join("; ").chars().count() > room {
         words.pop();
     }
     if words.is_empty() { "only the reference frame".into() } else { words.join("; ") }
 }
 
-/// Returns the frames that are not used or uncertain, and whether values were estimated, as text of at most `room`
-/// columns; empty if there are no problems.
+/// Returns a text of at most `room` columns about problems: frames that are not used, frames that are uncertain, and
+/// whether values were estimated. The text is empty if there are no problems.
 fn problems(report: &Report, room: usize) -> String {
     let which = |is: &dyn Fn(&FrameReport) -> bool| report.frames.iter().filter(|f| is(f)).collect::<Vec<_>>();
     let rejected = which(&|f| f.alignment.status == Status::Rejected);
     let excluded = which(&|f| matches!(f.alignment.status, Status::Excluded | Status::Flash));
-    // If the camera did not move in the other frames, assumed frames are certain.
+    // The transform of an "assumed" frame comes from other frames. If no merged frame moved, the assumption is certain
+    // and not a problem.
     let assumed = which(&|f| f.alignment.status == Status::Assumed && !report.stood_still());
     let is_placed = |f: &FrameReport| matches!(f.alignment.status, Status::Aligned | Status::Unmoved);
-    // A placed frame with a reason is assumed to be unmoved, because nothing could be aligned; a separate warning says
-    // so.
+    // If an aligned or unmoved frame has a reason, nothing could be aligned and the frame is assumed to be unmoved. A
+    // separate warning reports this, so the frame does not count as uncertain here.
     let is_uncertain = |f: &FrameReport| f.alignment.reason.is_none() && f.alignment.confidence < UNCERTAIN;
     let uncertain = which(&|f| is_placed(f) && is_uncertain(f));
     let flash = which(&|f| f.alignment.status == Status::Flash);
@@ -181,13 +184,13 @@ fn problems(report: &Report, room: usize) -> String {
         ];
         parts.into_iter().flatten().collect::<Vec<_>>().join("; ")
     };
-    // The frames with a problem are named if there are at most 8 of them. If this text is too long, they are named only
-    // if there is at most 1; if it is still too long, none is named.
+    // Each kind of problem names its frames if there are at most 8. If the text is then too long, a kind of problem
+    // names its frame only if there is just one. If it is still too long, no frame is named.
     let full = [8, 1].map(listed).into_iter().find(|words| words.chars().count() <= room);
     full.unwrap_or_else(|| shortened(&listed(0), room))
 }
 
-/// Returns the range of the exposures and of the result as text.
+/// Returns a text with the range of the exposures and the range of the result.
 fn range(report: &Report) -> String {
     let evs = || {
         let merged = report.frames.iter().filter(|f| f.alignment.status.rejected_by().is_none());
@@ -205,7 +208,8 @@ fn range(report: &Report) -> String {
     words.join(", ")
 }
 
-/// Returns `value` with at least three significant digits, as a decimal number unless it is very small or large.
+/// Returns `value` as a decimal number with at least three significant digits. If it is very small or large, returns
+/// it in scientific notation.
 fn plain(value: f64) -> String {
     if !(1e-3..1e7).contains(&value) {
         return format!("{value:.2e}");
@@ -213,8 +217,8 @@ fn plain(value: f64) -> String {
     format!("{value:.*}", (2.0 - value.log10().floor()).max(0.0) as usize)
 }
 
-/// Returns the files as text. If they do not fit, a common name is listed once with all its extensions, and the common
-/// folder once.
+/// Returns a text with the paths of the files. If they do not fit into `room` columns, a name that several files have
+/// in common is listed once with all its extensions, and the common folder is listed once at the end.
 fn files(outputs: &[String], room: usize) -> String {
     let Some(first) = outputs.first() else { return "none written".into() };
     let whole = outputs.join(", ");
@@ -238,7 +242,7 @@ fn files(outputs: &[String], room: usize) -> String {
     if is_in_one && !place.is_empty() && left >= 12 { format!("{names} in {}", shortened(&place, left)) } else { names }
 }
 
-/// Returns the last part of a path.
+/// Returns the file name, the last part of a path.
 fn name(path: &str) -> &str {
     Path::new(path).file_name().and_then(|n| n.to_str()).unwrap_or(path)
 }
@@ -251,7 +255,7 @@ pub fn duration(seconds: f64) -> String {
         format!("{} min {:02} s", (seconds / 60.0) as u64, (seconds % 60.0) as u64)
     }
 }
-/// Returns the line for one frame.
+/// Returns the line for one frame, as printed with --verbose.
 fn line(frame: &FrameReport) -> String {
     let place = &frame.alignment;
     let ev = frame.relative_exposure.log2();
@@ -278,7 +282,7 @@ fn line(frame: &FrameReport) -> String {
         if let Some(error) = place.error_px {
             text += &format!(", within {error:.2} px");
         }
-        // An excluded frame has a confidence of 1, although it was not aligned.
+        // The confidence of an excluded frame is not shown: it is 1, although the frame was not aligned.
         if !matches!(place.status, Status::Excluded | Status::Flash) {
             text += &format!(", confidence {:.2}", place.confidence);
         }

@@ -1,11 +1,12 @@
-//! The terminal at stderr: its width, colours, and wrapped text.
+//! The terminal at stderr: its width, colours, and wrapping of text.
 
 use console::{Term, measure_text_width};
 use std::io::IsTerminal;
 
-/// Width that is assumed for a terminal of unknown width, in columns.
+/// Assumed width of a terminal whose width is not known, in columns.
 const COLUMNS: usize = 80;
-/// Width in columns if stderr is not a terminal: lines are not wrapped or shortened, so that they can be searched.
+/// Width in columns that is used if stderr is not a terminal. It is so large that lines are not wrapped or shortened,
+/// because wrapped lines are hard to search.
 const NO_TERMINAL: usize = 1 << 20;
 /// Smallest width that is used for a terminal, in columns.
 const LEAST: usize = 40;
@@ -21,8 +22,8 @@ pub struct Terminal {
 }
 
 impl Terminal {
-    /// Returns the properties of stderr of this process. Colours are used only on a terminal, and not if NO_COLOR is
-    /// set, CLICOLOR is 0, or TERM is dumb.
+    /// Returns the properties of stderr of this process. Colours are used only if stderr is a terminal. They are not
+    /// used if the environment variable NO_COLOR is set, CLICOLOR is 0, or TERM is `dumb`.
     pub fn of_stderr() -> Terminal {
         if !std::io::stderr().is_terminal() {
             return Terminal { width: NO_TERMINAL, has_colours: false, can_redraw: false };
@@ -65,14 +66,14 @@ impl Terminal {
         if self.has_colours { format!("\u{1b}[{code}m{text}\u{1b}[0m") } else { text.to_owned() }
     }
 
-    /// Returns the number of columns after `indent`, without the last column: after a character in it, some terminals
-    /// start a new line.
+    /// Returns the number of columns for text after an indentation of `indent` columns. The last column is not used,
+    /// because some terminals start a new line after a character in it.
     pub fn room(&self, indent: usize) -> usize {
         self.width.saturating_sub(indent + 1).max(LEAST / 2)
     }
 
-    /// Wraps `text` at spaces to lines that leave `indent` columns free. Words longer than a line, such as paths, are
-    /// shortened in the middle. Returns at least one line.
+    /// Wraps `text` at spaces. The lines are short enough to be printed after an indentation of `indent` columns. A
+    /// word longer than a line, such as a path, is shortened in the middle. Returns at least one line.
     pub fn wrapped(&self, text: &str, indent: usize) -> Vec<String> {
         let room = self.room(indent);
         let text: String = text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
@@ -97,8 +98,8 @@ impl Terminal {
     }
 }
 
-/// Shortens `text` to at most `room` columns, with dots in the middle. More of the end is kept than of the start,
-/// because the end has the file name.
+/// Shortens `text` to at most `room` columns by replacing its middle by three dots. The end is kept longer than the
+/// start, because a path ends with the file name.
 pub fn shortened(text: &str, room: usize) -> String {
     let clean: String = text.chars().map(|c| if c.is_control() { '?' } else { c }).collect();
     if measure_text_width(&clean) <= room {

@@ -1,12 +1,13 @@
-//! Errors of the arguments: with likely suggestions only, and the usage of the command.
+//! Improves the messages for errors in the arguments: only likely suggestions, and the usage of the right command.
 //!
-//! In: the error of clap. Out: the error without misleading parts: clap suggests `--response` for `--resize`, and shows
-//! the usage of the option that it suggests. Cost: none.
+//! In: the error of clap. Out: the error without misleading parts. For example, clap suggests `--response` for
+//! `--resize`, and shows the usage of the suggested option. Cost: none.
 
 use clap::Command;
 use clap::error::{ContextKind, ContextValue, Error};
 
-/// Returns `error` with the usage of `command` in `program`, and with likely suggestions only.
+/// Returns `error` with only likely suggestions. If it shows a usage, this is the usage of `command` in `program`, or
+/// of `program` itself if `command` is `None`.
 pub fn clear(mut error: Error, program: &mut Command, command: Option<&str>) -> Error {
     for (typed, tip) in [
         (ContextKind::InvalidArg, ContextKind::SuggestedArg),
@@ -26,8 +27,8 @@ pub fn clear(mut error: Error, program: &mut Command, command: Option<&str>) -> 
             error.insert(tip, likely);
         }
     }
-    // Removes the suggestion to pass an unknown option as a file. An empty list of suggestions would print an empty
-    // line.
+    // clap suggests to pass an unknown option as a file (`-- OPTION`). This suggestion is removed. If no suggestion
+    // is left, the list is removed too, because an empty list would print an empty line.
     if let Some(ContextValue::StyledStrs(mut tips)) = error.remove(ContextKind::Suggested) {
         tips.retain(|tip| !tip.to_string().ends_with(&format!("-- {}'", typed_argument(&error))));
         if !tips.is_empty() {
@@ -42,7 +43,7 @@ pub fn clear(mut error: Error, program: &mut Command, command: Option<&str>) -> 
     error
 }
 
-/// Returns the unknown argument of `error`; empty if there is none.
+/// Returns the unknown argument that `error` is about; empty if there is none.
 fn typed_argument(error: &Error) -> &str {
     match error.get(ContextKind::InvalidArg) {
         Some(ContextValue::String(typed)) => typed,
@@ -50,8 +51,8 @@ fn typed_argument(error: &Error) -> &str {
     }
 }
 
-/// Whether `typed` may be a typing error of `name`: at most one error in three letters, as in rustc
-/// (`rustc_span::edit_distance`).
+/// Returns whether `typed` is probably `name` with typing errors: at most one error per three letters. rustc uses the
+/// same rule (`rustc_span::edit_distance`).
 fn is_likely(typed: &str, name: &str) -> bool {
     let (typed, name) = (typed.trim_start_matches('-'), name.trim_start_matches('-'));
     strsim::osa_distance(typed, name) <= typed.chars().count().max(3) / 3

@@ -1,9 +1,10 @@
 //! Blessing: replaces the expected file by the actual one.
 //!
-//! In: two paths. Out: a copy, byte for byte, in place of the expected file, which need not exist. Cost: that of a copy and an fsync.
+//! In: two paths. Out: a copy of the actual file, byte for byte, in place of the expected file, which need not exist.
+//! Cost: that of a copy and an fsync.
 //!
 //! The copy is written beside its target and renamed, so that readers get either the old file or the complete new one.
-//! It has the permissions of the replaced file, without those that the copied file does not have.
+//! The copy gets the permissions of the replaced file, except those that the actual file does not have.
 
 use super::input::{Input, Pixels};
 use crate::error::{Error, Result, Warning};
@@ -24,7 +25,8 @@ pub enum Blessed {
     Unchanged,
 }
 
-/// Copies the file `actual` to the file `expected`, which need not exist. `actual` must be a file that can be compared. Also returns warnings.
+/// Copies the file `actual` to the file `expected`, which need not exist. `actual` must be a file that can be compared.
+/// Also returns warnings.
 ///
 /// # Errors
 /// Those of reading `actual`; [`Error::Option`] if the extensions belong to different formats; [`Error::Write`].

@@ -1,8 +1,8 @@
 //! CIEDE2000: the perceived difference of two colours.
 //!
-//! In: colours in CIELAB. Out: dE; 1 is about a just noticeable difference. Cost: 0.4 us. Source: Sharma, Wu & Dalal 2005, "The CIEDE2000
-//! color-difference formula: Implementation notes, supplementary test data, and mathematical observations", equations 2 to 22; CIELAB by
-//! ISO/CIE 11664-4.
+//! In: colours in CIELAB. Out: dE; 1 is about a just noticeable difference. Cost: 0.4 us. Source: Sharma, Wu & Dalal
+//! 2005, "The CIEDE2000 color-difference formula: Implementation notes, supplementary test data, and mathematical
+//! observations", equations 2 to 22; CIELAB by ISO/CIE 11664-4.
 
 use libm::{atan2, cbrt, cos, exp, hypot, sin, sqrt};
 

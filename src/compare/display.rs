@@ -1,10 +1,11 @@
 //! Compares display pictures, in code values and in dE.
 //!
-//! In: two pictures of one size. Out: for each pixel how different it looks, and summary statistics. Cost: 0.6 us a pixel that differs.
-//! Source: CIEDE2000 in its file; PSNR over all channels.
+//! In: two pictures of one size. Out: for each pixel how different it looks, and summary statistics. Cost: 0.6 us for
+//! each pixel that differs. Source: see `ciede2000` for dE. The PSNR is over all channels.
 //!
-//! When the two profiles are equivalent, pixels are equal exactly when their code values are. Otherwise the colours that the code values represent are
-//! compared. CIELAB is relative to the white of the expected picture. For PU21 the display has a white of 100 cd/m2 and a black of 0.
+//! If the two profiles are equivalent, pixels are equal if and only if their code values are equal. Otherwise the
+//! colours that the code values represent are compared. CIELAB is relative to the white of the expected picture. For
+//! PU21, the display is assumed to have a white of 100 cd/m2 and a black of 0.
 
 use super::ciede2000::{self, Lab};
 use super::light::Codes;
@@ -15,11 +16,11 @@ use crate::bracket::{Photograph, Samples};
 use crate::plane::Plane;
 use nalgebra::{Matrix3, Vector3};
 
-/// Luminance of display white, in cd/m2.
+/// Assumed luminance of display white, in cd/m2.
 const WHITE_CD_M2: f32 = 100.0;
 /// Smallest dE that is assigned to pixels whose code values differ, so that they never count as equal.
 const LEAST_DE: f64 = 1e-6;
-/// The dE below which pixels count as equal if the profiles differ, to allow for rounding in profiles.
+/// If the profiles differ, pixels with a dE below this count as equal, to allow for rounding in profiles.
 const ROUNDED_DE: f64 = 0.05;
 
 /// Compares the picture `b` with the picture `a`, both of one size.

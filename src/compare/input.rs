@@ -136,7 +136,7 @@ impl Input {
         }
     }
 
-    /// Returns the metadata that differ.
+    /// Returns the metadata values that differ between the files.
     pub fn changed(&self, other: &Input) -> Vec<Changed> {
         let both = self.metadata().into_iter().zip(other.metadata());
         let text = |value: Option<Value>| value.map(|value| value.to_string());

@@ -1,7 +1,7 @@
 //! The linear light of a picture's code values, by its colour profile.
 //!
-//! In: a profile, or none. Out: for each channel the light of every code value, 0 to 1, and the primaries. Cost: at most 65,536 powers a channel.
-//! A profile based on lookup tables is treated as sRGB.
+//! In: a profile, or none. Out: for each channel the light of every code value, 0 to 1, and the primaries. Cost: at
+//! most 65,536 powers a channel. A profile based on lookup tables is treated as sRGB.
 
 use crate::bracket::Photograph;
 use crate::bracket::colour::{Primaries, Transfer};
@@ -12,7 +12,7 @@ pub(super) struct Codes {
     transfer: Transfer,
     /// Linear light by code value, for red, green and blue.
     pub curves: [Vec<f32>; 3],
-    /// The primaries of that light.
+    /// The primaries of the linear light in `curves`.
     pub primaries: Primaries,
 }
 
@@ -27,7 +27,8 @@ impl Codes {
         Codes { curves, primaries: primaries.unwrap_or(Primaries::SRGB), transfer }
     }
 
-    /// Returns whether equal relative code values represent equal colours in both, up to rounding in profiles.
+    /// Returns whether equal code values, each divided by the largest of its picture, represent equal colours in both
+    /// pictures. Rounding in profiles is ignored.
     pub fn mean_the_same(&self, other: &Codes) -> bool {
         self.transfer.is_close(&other.transfer) && self.primaries.is_close(&other.primaries, 0.005)
     }

@@ -1,12 +1,14 @@
 //! Comparing: whether two radiance maps, or two pictures, are the same within a tolerance.
 //!
-//! In: the expected file, the actual file, and [`Options`]. Out: a [`Comparison`] with its outcome, the differences in stops or in dE, PU21-PSNR and
-//! MS-SSIM; and, if requested, a false-colour picture. Cost: reading both files, then about 0.2 us for each pixel that differs. Sources: CIEDE2000 (Sharma,
-//! Wu & Dalal 2005), PU21 (Mantiuk & Azimi 2021), MS-SSIM (Wang, Simoncelli & Bovik 2003), each in the file of its name.
+//! In: the expected file, the actual file, and [`Options`]. Out: a [`Comparison`] with its outcome, the differences in
+//! stops or in dE, PU21-PSNR and MS-SSIM; and, if requested, a false-colour picture. Cost: reading both files, then
+//! about 0.2 us for each pixel that differs. Sources: CIEDE2000 (Sharma, Wu & Dalal 2005), PU21 (Mantiuk & Azimi 2021),
+//! MS-SSIM (Wang, Simoncelli & Bovik 2003), each in the file of its name.
 //!
-//! Radiance is compared with radiance, and pictures with pictures. The colours that pixels represent are compared: if two radiance maps have different
-//! primaries, the second is converted to those of the first; of two pictures with 8 and 16 bits, 255 equals 65535. Differences in camera, date, comments
-//! and other metadata are reported, but do not affect the outcome.
+//! Radiance is compared with radiance, and pictures with pictures. The colours that pixels represent are compared: if
+//! two radiance maps have different primaries, the second is converted to those of the first; of two pictures with 8
+//! and 16 bits, 255 equals 65535. Differences in camera, date, comments and other metadata are reported, but do not
+//! affect the outcome.
 
 mod bless;
 mod ciede2000;
@@ -33,8 +35,8 @@ use std::path::{Path, PathBuf};
 /// Version of the report format: keys may be added, but are never removed.
 pub const SCHEMA: &str = "hdralign-compare/1";
 
-/// Default tolerance for radiance, in stops: a third of the rounding error of RGBE in the darkest channels, ten times that of half floats, and half of the
-/// smallest gain worth reporting.
+/// Default tolerance for radiance, in stops. It is a third of the rounding error of RGBE in the darkest channels, ten
+/// times the rounding error of half floats, and half of the smallest gain worth reporting.
 pub const DEFAULT_STOPS: f64 = 0.01;
 
 /// Largest difference that is allowed between a pixel and the expected pixel.
@@ -78,7 +80,8 @@ impl Default for Criterion {
 pub struct Options {
     /// The condition under which the files count as the same.
     pub criterion: Criterion,
-    /// Path of a PNG to write, with the expected picture, the difference in false colours and the actual picture side by side.
+    /// Path of a PNG to write, with the expected picture, the difference in false colours and the actual picture side
+    /// by side.
     pub diff: Option<PathBuf>,
     /// Whether the PNG may replace an existing file. Off by default.
     pub overwrite: bool,
@@ -169,7 +172,7 @@ pub struct ChannelStops {
 /// Differences of two radiance maps.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RadianceDifference {
-    /// Radiance below which differences are relative to this value instead of to the pixel.
+    /// The floor, a radiance: differences of darker values are divided by the floor, instead of by the value itself.
     pub floor: f64,
     /// Differences of red, green and blue.
     pub channels: [ChannelStops; 3],
@@ -254,7 +257,7 @@ pub struct Comparison {
     pub metadata: Vec<Changed>,
     /// Path of the difference picture, if one was requested.
     pub diff: Option<String>,
-    /// Warnings on the files.
+    /// Warnings about the files.
     pub warnings: Vec<String>,
 }
 
@@ -310,7 +313,8 @@ impl Measured {
     }
 }
 
-/// Computes the magnitude of every pixel by `magnitude(sums, index)`, in parallel, with separate sums for each band of rows.
+/// Computes the magnitude of every pixel by `magnitude(sums, index)`, in parallel, with separate sums for each band of
+/// rows.
 fn by_bands<T: Default + Send>(
     (width, height): (usize, usize),
     magnitude: impl Fn(&mut T, usize) -> f32 + Sync,
@@ -327,8 +331,8 @@ fn by_bands<T: Default + Send>(
     (plane, sums)
 }
 
-/// Working memory in bytes per pixel, measured: while radiance maps are compared, and while pictures are compared,
-/// which are converted to linear light first.
+/// Measured working memory in bytes per pixel. The first number is for radiance maps, the second for pictures, which
+/// are converted to linear light first.
 const MEASURED: (u64, u64) = (16, 36);
 
 /// Checks that comparing the files does not exceed the memory limit.

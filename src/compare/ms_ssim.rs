@@ -1,12 +1,14 @@
 //! MS-SSIM: the structural similarity of two pictures at five scales.
 //!
-//! In: two pictures in linear light. Out: 1 when they are the same, otherwise less. Cost: 0.1 us a pixel. Source: Wang, Simoncelli &
-//! Bovik 2003, "Multi-scale structural similarity for image quality assessment", equation 7 and section 3.2 (the exponents); the window of
-//! Wang, Bovik, Sheikh & Simoncelli 2004, section III.B: a Gaussian of 11 x 11 pixels and 1.5 pixels, K1 = 0.01, K2 = 0.03.
+//! In: two pictures in linear light. Out: 1 when they are the same, otherwise less. Cost: 0.1 us per pixel. Source:
+//! Wang, Simoncelli & Bovik 2003, "Multi-scale structural similarity for image quality assessment", equation 7 and
+//! section 3.2 (the exponents); the window of Wang, Bovik, Sheikh & Simoncelli 2004, section III.B: a Gaussian of 11 x
+//! 11 pixels with a standard deviation of 1.5 pixels; K1 = 0.01, K2 = 0.03.
 //!
 //! The pictures are converted to PU21 luminance, so that radiance is compared as perceived. The dynamic range L of the
-//! paper is 256, the encoded value of 100 cd/m2, because PU21 is made for metrics for 8 bits. A picture that is too
-//! small for five scales is compared at as many scales as fit, with exponents that are normalised to sum to 1.
+//! paper is 256, the encoded value of 100 cd/m2, because PU21 is made for metrics that expect 8-bit pictures. A picture
+//! that is too small for five scales is compared at as many scales as fit, with exponents that are normalised to sum to
+//! 1.
 
 use super::pu21::Light;
 use crate::plane::{Plane, fold_bands};
@@ -47,8 +49,8 @@ fn score(mut a: Plane<f32>, mut b: Plane<f32>) -> Option<f64> {
     let exponents = &EXPONENTS[..scores.len()];
     let sum: f64 = exponents.iter().sum();
     let coarsest = scores.len().checked_sub(1)?;
-    // The product has contrast and structure at every scale, and luminance only at the coarsest. Negative means count
-    // as 0.
+    // The product contains contrast and structure at every scale, and luminance only at the coarsest scale. Negative
+    // means count as 0.
     let parts = scores.iter().zip(exponents).enumerate().map(|(i, ([whole, contrast], exponent))| {
         let mean = if i == coarsest { whole } else { contrast };
         libm::pow(mean.max(0.0), exponent / sum)
@@ -194,8 +196,8 @@ mod tests {
             (0..40).for_each(|x| row[x] = 0.9 * a.at(x, y) + noise(x * 31 + y) * 0.1)
         });
         let (found, expected) = (similarity(&a, &b), textbook(&a, &b));
-        // Variances are differences of numbers near 2e4 with relative errors of 1e-12, so their errors are below 1e-7
-        // C2.
+        // Variances are differences of numbers near 2e4 with relative errors of 1e-12, so the errors of variances are
+        // below 1e-7 times C2.
         for (f, e) in found.iter().zip(expected) {
             assert!((f - e).abs() < 1e-7, "{found:?} {expected:?}");
         }

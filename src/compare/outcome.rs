@@ -1,6 +1,7 @@
 //! The outcome of a comparison: whether the differences exceed the tolerance, and the reason as text.
 //!
-//! In: differences and the [`Criterion`]. Out: the limits that apply, the pixels beyond them, and the outcome. Cost: a pass over the differences.
+//! In: differences and the [`Criterion`]. Out: the limits that apply, the pixels beyond them, and the outcome. Cost: a
+//! pass over the differences.
 
 use super::input::{Input, Pixels};
 use super::{Criterion, DEFAULT_STOPS, Differing, Largest, Limits, Magnitudes, Measured, Outcome, Tolerance, Unit};
@@ -78,7 +79,8 @@ pub(super) fn limits(criterion: &Criterion, input: &Input) -> Result<Limits> {
 pub(super) fn differing(magnitudes: &Magnitudes, limits: &Limits, a: &Input, b: &Input) -> Differing {
     let plane = &magnitudes.plane;
     let tolerance = limits.tolerance_stops.or(limits.tolerance_de).unwrap_or(0.0) as f32;
-    // Number of pixels beyond the tolerance, number of unequal pixels, largest difference, index of its first pixel.
+    // Number of pixels beyond the tolerance, number of unequal pixels, largest difference, index of the first pixel
+    // with the largest difference.
     type Found = (usize, usize, f32, usize);
     let band = |rows: std::ops::Range<usize>| -> Found {
         let first = rows.start * plane.width();
@@ -138,7 +140,7 @@ pub(super) fn decide(
             Some(display) => ("PSNR", display.psnr_db),
             None => ("PU21-PSNR", measured.pu21_psnr_db),
         };
-        // The PSNR may miss values outside of its range, such as infinities.
+        // The PSNR may miss differences of values outside of its range, such as infinities.
         let not_comparable = measured.radiance.as_ref().map_or(0, |r| r.not_comparable_pixels);
         if not_comparable > 0 {
             return (

@@ -1,11 +1,13 @@
-//! The difference picture: the expected picture, the difference in false colours, and the actual picture side by side, with a legend.
+//! The difference picture: the expected picture, the difference in false colours, and the actual picture side by side,
+//! with a legend.
 //!
 //! In: both files and the differences of their pixels. Out: a PNG. Cost: some tenths of a second.
 //!
 //! Pictures with more than 1200 pixels on a side are reduced by an integer factor. A pixel of the reduced difference
-//! shows the largest difference in its block, so that single pixels stay visible. Small pictures are enlarged. Radiance
-//! v is shown as v / (v + m) in both files, where m is the median of the expected map, so that a gain is visible. Where
-//! nothing differs, the middle panel shows the expected picture, dimmed.
+//! shows the largest difference in its block, so that single pixels stay visible. Small pictures are enlarged. A
+//! radiance v of either file is shown as v / (v + m), where m is the median of the expected map. Because m is the same
+//! for both files, a gain between them is visible. Where nothing differs, the middle panel shows the expected picture,
+//! dimmed.
 
 use super::input::{Input, Pixels};
 use super::radiance::percentile;
@@ -22,7 +24,7 @@ use std::path::{Path, PathBuf};
 
 /// Largest side of a panel, in pixels.
 const MOST: usize = 1200;
-/// Side in pixels to which small pictures are enlarged at most.
+/// Small pictures are enlarged to a side of at most this many pixels.
 const LEAST: usize = 360;
 /// Margin to the left and right of the panels, in pixels.
 const MARGIN: usize = 20;
@@ -113,7 +115,7 @@ fn page(
 
     let (across, down) = fit.size(size);
     let width = (3 * across + 2 * GAP).max(3 * LEAST / 2) + 2 * MARGIN;
-    // A wide page is viewed reduced, so its text is larger.
+    // A wide page is usually viewed at a reduced size, so its text is larger.
     let zoom = (width as f64 / 1500.0).clamp(1.0, 2.2);
     let (above, below) = ((ABOVE as f64 * zoom) as usize, (BELOW as f64 * zoom) as usize);
     let height = above + down + below;
@@ -160,7 +162,7 @@ fn legend(drawing: &mut Drawing, y: f64, (room, zoom): (f64, f64), scale: Option
     let (bar, strips) = (room.min(640.0 * zoom), 128);
     for i in 0..strips {
         let width = bar / strips as f64;
-        // Strips are slightly wider than their distance, so that there are no gaps.
+        // Each strip is slightly wider than the distance to the next strip, so that there are no gaps.
         let area = Area { x: left + i as f64 * width, y, width: width + 0.4, height: 18.0 * zoom };
         drawing.fill_area(area, scale.at(i as f64 / (strips - 1) as f64));
     }
@@ -202,7 +204,7 @@ fn short(value: f64) -> String {
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
 }
 
-/// The scale of the false colours: decades below `top`.
+/// The logarithmic scale of the false colours, which covers [`DECADES`] decades and ends at `top`.
 struct Scale {
     unit: Unit,
     top: f64,
@@ -273,7 +275,7 @@ fn middle_of(input: &Input) -> f32 {
     percentile(pixels.iter().step_by(step).map(|p| p[1]), 0.5).unwrap_or(1.0)
 }
 
-/// Returns the mean of the pixels in `columns` and `rows` as they are shown; white if the picture has none of these.
+/// Returns the mean of the pixels in `columns` and `rows` as they are shown; white if the picture has no pixels there.
 fn mean(input: &Input, middle: f32, columns: Range<usize>, rows: Range<usize>) -> [u8; 3] {
     let (width, height) = input.size();
     let (columns, rows) = (columns.start..columns.end.min(width), rows.start..rows.end.min(height));

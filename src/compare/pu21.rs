@@ -1,8 +1,9 @@
 //! PU21: encodes luminance such that just noticeable differences have equal size; and the PSNR of encoded values.
 //!
-//! In: two pictures in linear light and their scale in cd/m2. Out: dB. Cost: a table of 5376 lines, 20 ns a pixel. Source: Mantiuk & Azimi 2021,
-//! "PU21: A novel perceptually uniform encoding for adapting existing quality metrics for HDR", table I (banding and glare); peak: the
-//! encoded value of 10,000 cd/m2, 595.39, as in the authors' ColorVideoVDP.
+//! In: two pictures in linear light and their scale in cd/m2. Out: dB. Cost: a table of 5363 entries, 20 ns per pixel.
+//! Source: Mantiuk & Azimi 2021, "PU21: A novel perceptually uniform encoding for adapting existing quality metrics for
+//! HDR", table I (banding and glare). The peak of the PSNR is the encoded value of 10,000 cd/m2, 595.39, as in the
+//! authors' ColorVideoVDP.
 //!
 //! The encoding is tabulated in 256 steps per octave, with linear interpolation. Encoded values range to 595; their
 //! error is below 1e-3.
@@ -24,7 +25,7 @@ const BELOW: u32 = f64::MANTISSA_DIGITS - 1 - FINE;
 /// A picture in linear light.
 pub(super) struct Light<'a> {
     pub pixels: &'a Plane<[f32; 3]>,
-    /// Luminance of the value 1, in cd/m2.
+    /// Luminance of the pixel value 1, in cd/m2.
     pub scale: f32,
     /// Weights of red, green and blue in luminance.
     pub weights: [f32; 3],
@@ -72,13 +73,13 @@ fn code(luminance: f64) -> f64 {
     P[6] * (libm::pow((P[0] + P[1] * power) / (1.0 + P[2] * power), P[4]) - P[5])
 }
 
-/// The encoded values of the floats whose last [`BELOW`] bits are 0.
+/// The encoded values of those luminances that, as `f64`, have [`BELOW`] low bits of 0.
 struct Table(Vec<f64>);
 
 impl Table {
     fn new() -> Table {
         let last = MOST.to_bits() >> BELOW;
-        // One entry more, because MOST is between entry `last` and the next one.
+        // One more entry, because MOST is between entry `last` and the next one.
         Table((Table::first()..=last + 1).map(|i| code(f64::from_bits(i << BELOW))).collect())
     }
 
@@ -124,8 +125,8 @@ mod tests {
         let (a, b) = (flat(0.5), flat(0.6));
         let light = |pixels| Light { pixels, scale: 200.0, weights: [0.2126, 0.7152, 0.0722] };
         let expected = 20.0 * libm::log10(code(1e4) / (code(120.0) - code(100.0)));
-        // Each encoded value has an error below 1e-3, and they differ by 11: an error of 20 log10(1 + 2e-3 / 11) < 2e-3
-        // dB.
+        // Each encoded value has an error below 1e-3, and the two values differ by 11. So the error of the PSNR is at
+        // most 20 log10(1 + 2e-3 / 11) < 2e-3 dB.
         assert!((psnr(&light(&a), &light(&b)).unwrap() - expected).abs() < 2e-3);
         assert_eq!(psnr(&light(&a), &light(&a)), None);
         let next = flat(0.5f32.next_up());

@@ -1,13 +1,16 @@
 //! Compares radiance maps, in stops.
 //!
-//! In: two maps of one size. Out: for each pixel the difference of its worst channel in stops, and summary statistics. Cost: 0.1 us a pixel that differs.
+//! In: two maps of one size. Out: for each pixel the difference of its worst channel in stops, and summary statistics.
+//! Cost: 0.1 us for each pixel that differs.
 //!
-//! The difference of a and b is log2(1 + |a - b| / max(min(a, b), f)). Above the floor f this is |log2(a / b)|. Below it the difference is relative to f, so
-//! that black and nearly black are close, and a bright pixel and black are far apart but not infinitely. f is the 0.1th percentile of the positive values
-//! of the expected map: values that formats round to 0 are below it, picture content is not. Negative values are
-//! colours outside of the primaries, and are compared like others.
+//! The difference of a and b is log2(1 + |a - b| / max(min(a, b), f)). Above the floor f this is |log2(a / b)|. Below
+//! it the difference is relative to f, so that black and nearly black are close, and a bright pixel and black are far
+//! apart but not infinitely. f is the 0.1th percentile of the positive values of the expected map: values that file
+//! formats round to 0 are below it, and picture content is above it. Negative values are colours outside the gamut of
+//! the primaries, and are compared like other values.
 //!
-//! NaN equals NaN, and an infinity equals itself. Their difference from anything else has no value in stops and exceeds every tolerance.
+//! NaN equals NaN, and an infinity equals itself. The difference of NaN or infinity from any other value has no value
+//! in stops, and exceeds every tolerance.
 
 use super::pu21::Light;
 use super::{ChannelStops, Magnitudes, Measured, RadianceDifference, Unit, by_bands};
@@ -53,7 +56,7 @@ pub(super) fn measure(a: &RadianceMap, b: &RadianceMap, about: &Metadata) -> Mea
     Measured::new(Magnitudes { plane, unit: Unit::Stops }, (&left, &right), Some(radiance), None)
 }
 
-/// Returns `map` converted to the primaries of `like`; `None` if it already has these.
+/// Returns `map` converted to the primaries of `like`; `None` if it already has these primaries.
 fn converted(map: &RadianceMap, like: &RadianceMap) -> Option<RadianceMap> {
     if map.primaries.is_close(&like.primaries, 1e-4) {
         return None;

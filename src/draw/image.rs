@@ -1,8 +1,9 @@
 //! Pictures in reports: PNG and JPEG files in memory, and as `data:` URLs.
 //!
-//! In: pixels. Out: files, and [`Picture`]s for a page. Cost: about 30 ns per pixel; for JPEG once for each quality
-//! that is tried. Source: ITU-T T.81 (JPEG), by the `jpeg-encoder` crate, with chroma at half the resolution and
-//! optimised Huffman tables, which make files a fourth smaller; RFC 2397 (data URLs), RFC 4648 section 4 (base64).
+//! In: pixels. Out: files, and [`Picture`]s for a page. Cost: about 30 ns per pixel; for JPEG, 30 ns for each quality
+//! that is tried. JPEG files are encoded by the `jpeg-encoder` crate, with chroma at half the resolution and with
+//! optimised Huffman tables, which make files a fourth smaller. Source: ITU-T T.81 (JPEG); RFC 2397 (data URLs), RFC
+//! 4648 section 4 (base64).
 
 use crate::plane::Plane;
 use base64::Engine;
@@ -11,7 +12,7 @@ use jpeg_encoder::{ColorType as JpegColour, Encoder as Jpeg, SamplingFactor};
 use png::{BitDepth, ColorType, Compression, Encoder, EncodingError};
 use rayon::prelude::*;
 
-/// JPEG qualities that are tried until the pictures are small enough, the best first.
+/// JPEG qualities that are tried in this order until the pictures are small enough.
 const QUALITIES: [u8; 6] = [86, 80, 74, 66, 58, 48];
 
 /// A picture that is embedded in a page.
@@ -25,7 +26,7 @@ pub struct Picture {
     pub height: usize,
 }
 
-/// A photograph that is to be encoded, with its ICC profile.
+/// A photograph to be encoded, with its ICC profile.
 pub struct Photograph {
     /// The pixels.
     pub pixels: Plane<[u8; 3]>,
@@ -44,8 +45,8 @@ pub fn grey_jpeg(grey: &Plane<u8>, quality: u8) -> Result<Picture, String> {
     encode((grey.width(), grey.height()), grey.as_slice(), JpegColour::Luma, quality, None)
 }
 
-/// Encodes `photographs` as JPEG, with the best of [`QUALITIES`] at which they together take at most `most` bytes of
-/// the page, or the lowest if none is small enough.
+/// Encodes `photographs` as JPEG, with the best of [`QUALITIES`] at which all photographs together take at most
+/// `most` bytes of the page, or with the lowest quality if none is small enough.
 pub fn jpegs_within(most: usize, photographs: &[Photograph]) -> Result<Vec<Picture>, String> {
     let mut encoded = Vec::new();
     for quality in QUALITIES {
@@ -77,8 +78,8 @@ fn encode(
     Ok(picture("jpeg", size, &file))
 }
 
-/// Encodes a picture with the colours of `palette` (red, green, blue and opacity) as PNG: two bits per pixel for up
-/// to four colours, four for up to 16.
+/// Encodes a picture with the colours of `palette` (red, green, blue and opacity) as PNG, with two bits per pixel for
+/// up to four colours and four bits per pixel for up to 16 colours.
 pub fn paletted(indices: &Plane<u8>, palette: &[[u8; 4]]) -> Result<Picture, String> {
     let size = (indices.width(), indices.height());
     let (depth, bits) = if palette.len() <= 4 { (BitDepth::Two, 2) } else { (BitDepth::Four, 4) };
@@ -119,8 +120,8 @@ fn packed<R: Iterator<Item = u8>>(rows: impl Iterator<Item = R>, bits: usize) ->
     rows.flat_map(|row| row.collect::<Vec<u8>>().chunks(8 / bits).map(byte).collect::<Vec<u8>>()).collect()
 }
 
-/// Sets the options for drawings: fast compression, and the name of the program, so that `batch` does not take a
-/// drawing for a photograph.
+/// Sets the options for drawings: fast compression, and the name of the program in the file. By this name, `batch`
+/// recognises that the drawing is not a photograph.
 fn drawn(encoder: &mut Encoder<&mut Vec<u8>>) -> Result<(), EncodingError> {
     encoder.set_compression(Compression::Fast);
     encoder.add_text_chunk("Software".into(), concat!("hdralign ", env!("CARGO_PKG_VERSION")).into())
@@ -182,11 +183,12 @@ mod tests {
         let ramp = ramp((41, 30));
         let encoded = jpeg(&ramp, 90, Some(b"a profile")).unwrap();
         assert_eq!((encoded.width, encoded.height), (41, 30));
-        // The crate `image` is not used here: it decodes chroma at half the resolution wrongly in small pictures of odd
-        // size.
+        // The crate `image` is not used here: in small pictures of odd size, it decodes half-resolution chroma
+        // wrongly.
         let file = STANDARD.decode(encoded.address.split_once(";base64,").unwrap().1).unwrap();
         let back = jpeg_decoder::Decoder::new(&file[..]).decode().unwrap();
-        // JPEG at this quality, with chroma at half the resolution, changes a ramp by some code values.
+        // The tolerance is 20 code values, because JPEG at this quality with half-resolution chroma changes a ramp a
+        // little.
         let worst = back.iter().zip(ramp.as_slice().as_flattened()).map(|(a, b)| a.abs_diff(*b)).max();
         assert!(worst.unwrap() < 20, "{worst:?}");
         let grey = Plane::from_rows(9, 4, |_, row| row.iter_mut().enumerate().for_each(|(x, v)| *v = 20 * x as u8));

@@ -38,8 +38,8 @@ pub fn file_name(path: &str) -> String {
     Path::new(path).file_name().map_or_else(|| path.to_owned(), |name| name.to_string_lossy().into_owned())
 }
 
-/// Returns a number with its sign (a minus sign, not a hyphen) and with `decimals` decimals; numbers that round to zero
-/// have no sign.
+/// Returns a number with its sign (a minus sign, not a hyphen) and with `decimals` decimals. Numbers that are rounded
+/// to zero have no sign.
 pub fn signed(v: f64, decimals: usize) -> String {
     let text = format!("{:.decimals$}", v.abs());
     if text.chars().all(|c| c == '0' || c == '.') {
@@ -51,7 +51,7 @@ pub fn signed(v: f64, decimals: usize) -> String {
     }
 }
 
-/// Returns a fraction as a percentage, with one decimal if it is small.
+/// Returns a fraction as a percentage, with one decimal below 10 %.
 pub fn percent(share: f64) -> String {
     let percent = 100.0 * share;
     match percent {

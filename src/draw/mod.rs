@@ -1,4 +1,4 @@
-//! Drawing: the layer that makes every picture of a report.
+//! Drawing: this module makes every picture of a report.
 //!
 //! In: marks, numbers, text and pixels. Out: SVG, HTML text, PNG and JPEG files in memory. [`svg`] draws pages of
 //! marks, [`plot`] draws axes and curves, [`text`] measures and outlines letters, [`scale`] reduces pictures, [`image`]

@@ -37,12 +37,13 @@ impl Axis {
         Axis { from, to, ticks: ticks(step, (from / step).ceil(), (to / step).floor()), name: name.to_owned() }
     }
 
-    /// Creates an axis with ticks only at the numbers `at`, which are printed unchanged.
+    /// Creates an axis with ticks only at the numbers `at`, which are used as labels unchanged.
     pub fn at<const N: usize>(from: f64, to: f64, at: [usize; N], name: &str) -> Self {
         Axis { from, to, ticks: at.map(|v| (v as f64, v.to_string())).to_vec(), name: name.to_owned() }
     }
 
-    /// Creates a logarithmic axis from `from` to `to`, both as log2, with ticks at the powers of ten in between.
+    /// Creates a logarithmic axis. `from` and `to` are log2 of the values at its ends; the ticks are at the powers of
+    /// ten between these values.
     pub fn decades(from: f64, to: f64, name: &str) -> Self {
         let word = |d: i64| match d {
             -3..=5 => format!("{}", libm::exp10(d as f64)),

@@ -1,9 +1,9 @@
 //! Scaling: reduces pictures by averaging over cells, row by row.
 //!
 //! In: rows of a picture of any number of channels, from first to last, in parts of any size. Out: the same picture
-//! with fewer pixels. Cost: some ns per pixel, and a byte for each output value. Every pixel is weighted by the part
-//! of it that is in a cell, with integer arithmetic, so that fine patterns stay even for any factor. Code values are
-//! averaged directly, which is accurate enough for viewing.
+//! with fewer pixels. Cost: some ns per pixel, and one byte of memory for each output value. In the mean of a cell,
+//! every pixel is weighted by the part of the pixel that is inside the cell. So fine patterns stay even for any
+//! reduction factor. Code values are averaged directly (not the light), which is accurate enough for viewing.
 
 use crate::plane::Plane;
 use std::ops::Range;
@@ -13,8 +13,8 @@ use std::ops::Range;
 pub struct Reduced<const N: usize> {
     full: (usize, usize),
     size: (usize, usize),
-    /// For each column of the picture, the first cell that it overlaps and the part of the column in that cell, as a
-    /// numerator over the number of cells; the rest of the column is in the next cell.
+    /// For each column of the picture: the first cell that the column overlaps, and the part of the column in that
+    /// cell, multiplied by the number of cells so that it is an integer. The rest of the column is in the next cell.
     columns: Vec<(usize, u32)>,
     /// Number of rows that were received.
     rows: usize,
@@ -25,7 +25,8 @@ pub struct Reduced<const N: usize> {
     done: Vec<[u8; N]>,
 }
 
-/// Returns the size of a picture of `full` pixels after reduction to at most `most` along its long side.
+/// Returns the size of a picture of `full` (width, height) after reduction to at most `most` pixels along its long
+/// side.
 pub fn within(full: (usize, usize), most: usize) -> (usize, usize) {
     let long = full.0.max(full.1);
     if long <= most {
@@ -35,8 +36,9 @@ pub fn within(full: (usize, usize), most: usize) -> (usize, usize) {
     (side(full.0), side(full.1))
 }
 
-/// Returns the size of a picture of `full` pixels after reduction to at most about `most` in all. A picture that is
-/// larger by less than a fourth keeps its size, because so small a reduction would only blur it.
+/// Returns the size of a picture of `full` (width, height) after reduction to a total of at most about `most` pixels.
+/// A picture that exceeds `most` by at most a fourth keeps its size, because such a small reduction would only blur
+/// it.
 pub fn within_pixels(full: (usize, usize), most: usize) -> (usize, usize) {
     let all = full.0 * full.1;
     if all <= most * 5 / 4 {
@@ -86,8 +88,8 @@ impl Cells {
     }
 }
 
-/// Divides `full` pixels in a line into `cells` cells of equal length. Returns the cell in which pixel `i` begins, and
-/// the part of the pixel in that cell, as a numerator over `cells`.
+/// Divides `full` pixels in a line into `cells` cells of equal length. Returns the cell in which pixel `i` begins,
+/// and the part of the pixel in that cell, multiplied by `cells` so that it is an integer.
 fn share(i: usize, full: usize, cells: usize) -> (usize, usize) {
     let cell = i * cells / full;
     (cell, ((i + 1) * cells).min((cell + 1) * full) - i * cells)
@@ -128,14 +130,14 @@ impl<const N: usize> Reduced<N> {
         }
     }
 
-    /// Adds the row read last to the row of cells, `times` times.
+    /// Adds the row that was received last, multiplied by `times`, to the current row of cells.
     fn add(&mut self, times: u64) {
         for (sum, v) in self.sums.iter_mut().zip(&self.line) {
             (0..N).for_each(|c| sum[c] += times * u64::from(v[c]));
         }
     }
 
-    /// Returns the reduced picture; parts without rows are black.
+    /// Returns the reduced picture; parts for which no rows were received are black.
     pub fn finish(&self) -> Plane<[u8; N]> {
         let mut done = self.done.clone();
         done.resize(self.size.0 * self.size.1, [0; N]);
@@ -143,8 +145,9 @@ impl<const N: usize> Reduced<N> {
     }
 }
 
-/// Averages a plane over areas to fit into `most` pixels in both directions; a plane that fits is returned unchanged.
-/// Sums are floats, so that exact halves are rounded in either direction, while [`reduce_to`] rounds them up.
+/// Reduces a plane to at most `most` (width, height), by area averages and with the same factor in both directions. A
+/// plane that is small enough is returned unchanged. Sums are floats, so a mean of exactly n + 1/2 may be rounded up
+/// or down, while [`reduce_to`] always rounds it up.
 pub fn reduce(plane: &Plane<u8>, most: (usize, usize)) -> Plane<u8> {
     let (w, h) = (plane.width(), plane.height());
     let share = (most.0 as f64 / w as f64).min(most.1 as f64 / h as f64);
@@ -168,8 +171,8 @@ pub fn reduce(plane: &Plane<u8>, most: (usize, usize)) -> Plane<u8> {
     })
 }
 
-/// Returns the indices of the pixels, of `n` in a line, that cell `i` with a length of `step` pixels covers, and the
-/// fraction of each that it covers.
+/// Returns the pixels of a line of `n` pixels that cell `i` overlaps, where a cell has a length of `step` pixels: the
+/// index of each pixel, and the fraction of the pixel that is inside the cell.
 fn parts(i: usize, step: f64, n: usize) -> Vec<(usize, f64)> {
     let (from, to) = (i as f64 * step, (i + 1) as f64 * step);
     let last = (to.ceil() as usize).min(n);
@@ -236,7 +239,8 @@ mod tests {
         // mean.
         assert!((mean(&plane) - mean(&small)).abs() < 0.2);
         assert_eq!(reduce(&plane, (30, 20)), plane);
-        // Linear pictures stay linear: the mean of a cell is the value at its centre, (x + 1/2) 30/11 - 1/2.
+        // In a picture that is linear in x and y, the mean of a cell is the value at the centre of the cell. Cell x
+        // has its centre at (x + 1/2) 30/11 - 1/2.
         let expected = 7.0 * (5.5 * 30.0 / 11.0 - 0.5) + 3.0 * (3.5 * 20.0 / 7.0 - 0.5);
         assert!((f64::from(small.at(5, 3)) - expected).abs() <= 0.51);
     }
@@ -246,7 +250,7 @@ mod tests {
         assert_eq!(Cells::within((4000, 3000), 360, 1200), Cells { by: 4, times: 1 });
         assert_eq!(Cells::within((4000, 3000), 360, 1200).size((4000, 2999)), (1000, 750));
         assert_eq!(Cells::within((60, 100), 360, 1200).size((60, 100)), (180, 300));
-        // One pixel of 16 in a cell is visible.
+        // `cell` receives every pixel, so that a single pixel of a 4 x 4 block can be made visible.
         let fit = Cells { by: 4, times: 1 };
         let panel = fit.picture((9, 8), |columns, rows| {
             [u8::from(columns.contains(&8) && rows.contains(&3)), columns.len() as u8, rows.len() as u8]

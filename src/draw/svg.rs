@@ -1,8 +1,8 @@
 //! Drawings: pages of lines, circles, pictures and text, as one self-contained SVG file or as pixels.
 //!
-//! In: marks in pixels of the page, x to the right, y down. Out: SVG 1.1 without scripts or links, whose text the
-//! viewer draws; or pixels, which resvg draws, with the outlines of [`text`] instead of text. Cost: some tens of bytes
-//! per mark; 0.1 us per drawn pixel. Source: SVG 1.1 (2nd ed., W3C 2011), chapters 8 (paths), 10 (text) and 5.7
+//! In: marks in pixels of the page, x to the right, y down. Out: SVG 1.1 without scripts or links, or pixels. In SVG,
+//! text is drawn by the viewer. Pixels are drawn by resvg, with the letter outlines of [`text`]. Cost: some tens of
+//! bytes per mark; 0.1 us per drawn pixel. Source: SVG 1.1 (2nd ed., W3C 2011), chapters 8 (paths), 10 (text) and 5.7
 //! (image).
 
 use super::image::{data_url, png_rgb};
@@ -12,7 +12,7 @@ use crate::plane::Plane;
 use resvg::{tiny_skia, usvg};
 use std::fmt::Write;
 
-/// Fonts for the viewer, none of which is wider than the font of [`text`], by which the layout is computed.
+/// Fonts for the viewer. The layout is computed with the font of [`text`], and none of these fonts is wider.
 const FONTS: &str = "'DejaVu Sans Condensed', Arial, Helvetica, sans-serif";
 
 /// An sRGB colour.
@@ -106,7 +106,7 @@ impl Path {
         self.points(&[from, to]);
     }
 
-    /// Adds lines from point to point; none if a coordinate is not finite.
+    /// Adds lines from point to point; adds nothing if a coordinate is not finite.
     pub fn points(&mut self, points: &[(f64, f64)]) {
         if points.iter().any(|p| !p.0.is_finite() || !p.1.is_finite()) {
             return;
@@ -142,7 +142,7 @@ enum Mark {
 }
 
 impl Mark {
-    /// Writes the mark as SVG, with text as text or as outlines.
+    /// Writes the mark as SVG. Text is written as outlines if `is_outlined`, otherwise as text.
     fn write(&self, is_outlined: bool, svg: &mut String) {
         let _ = match self {
             Mark::Svg(element) => write!(svg, "{element}"),
@@ -243,7 +243,7 @@ impl Drawing {
         self.marks.push(Mark::Text { transform, size, anchor, colour, text: text.to_owned() });
     }
 
-    /// Draws a line of text upwards, centred at the position.
+    /// Draws a line of text that reads upwards, centred at the position.
     pub fn text_upwards(&mut self, (x, y): (f64, f64), size: f64, colour: Colour, text: &str) {
         let transform = format!("translate({} {}) rotate(-90)", number(x), number(y));
         self.marks.push(Mark::Text { transform, size, anchor: Anchor::Middle, colour, text: text.to_owned() });
@@ -270,7 +270,7 @@ impl Drawing {
         svg + "</svg>\n"
     }
 
-    /// Draws the page as pixels by resvg, with text in the letters of [`text`].
+    /// Draws the page as pixels with resvg; the letters are the outlines of [`text`].
     ///
     /// # Errors
     /// A message if a side is too long.

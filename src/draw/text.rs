@@ -2,8 +2,8 @@
 //!
 //! In: text and its size in pixels. Out: widths, lines, and SVG path data. Cost: about 0.2 us per letter. Source: the
 //! font beside this file, DejaVu Sans Condensed 2.37 with its Latin, Greek and Cyrillic letters (`font/README.md`).
-//! No other font is used, so that a drawing has the same pixels on every machine. In pixels, letters of other scripts
-//! are boxes; SVG files contain the text.
+//! No other font is used, so that a drawing has the same pixels on every machine. In drawings in pixels, letters of
+//! other scripts are boxes. SVG files contain the text itself, so there the viewer draws all letters.
 
 use std::fmt::Write;
 use std::sync::LazyLock;
@@ -12,7 +12,7 @@ use ttf_parser::{Face, OutlineBuilder};
 static FACE: LazyLock<Option<Face<'static>>> =
     LazyLock::new(|| Face::parse(include_bytes!("font/DejaVuSansCondensed.ttf"), 0).ok());
 
-/// Units of the font per em, the size of the text.
+/// Number of font units per em. An em is the size of the text.
 const EM: f64 = 2048.0;
 
 /// Returns the width of a letter in units of the font. A letter that is not in the font has the width of a box.
@@ -26,8 +26,8 @@ pub fn width(text: &str, size: f64) -> f64 {
     f64::from(units) * size / EM
 }
 
-/// Returns the outlines of `text` as SVG path data in units of the font, and the pixels per unit at `size`: x to the
-/// right from the start of the text, y down from its base line.
+/// Returns the outlines of `text` as SVG path data in units of the font, and the number of pixels per unit at `size`.
+/// The origin is at the start of the text on its base line; x is to the right, y is down.
 pub(super) fn outlines(text: &str, size: f64) -> (String, f64) {
     let mut outline = Outline::default();
     for (face, c) in FACE.iter().flat_map(|face| text.chars().map(move |c| (face, c))) {

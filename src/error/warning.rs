@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 /// A warning about a result.
 ///
-/// The text ends with what to do, after the last semicolon; measured values are in parentheses or follow a colon. The
+/// The text ends with what to do, after the last semicolon. Measured values are in parentheses or follow a colon. The
 /// HTML report relies on this form.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
@@ -33,11 +33,11 @@ pub enum Warning {
         path: PathBuf,
         /// Why the assumption is justified.
         reason: String,
-        /// Error that 19 of 20 such transforms do not exceed, in pixels.
+        /// Error of the assumed transform that is not exceeded in 19 of 20 cases, in pixels.
         error_px: f64,
         /// Whether the frame is darker than the reference.
         is_dark: bool,
-        /// Whether the camera did not move in all other frames.
+        /// Whether the camera did not move in any of the other frames.
         is_still: bool,
     },
     /// A frame was aligned with low confidence.
@@ -52,7 +52,7 @@ pub enum Warning {
         confidence: f64,
         /// Share of the picture that is displaced, 0..1.
         displaced_fraction: f64,
-        /// Median displacement of the displaced parts, in pixels.
+        /// Median displacement of the displaced parts of the picture, in pixels.
         displaced_px: f64,
     },
     /// All frames together cover less than half of the reference.
@@ -73,9 +73,9 @@ pub enum Warning {
     /// Two frames have the same pixels.
     #[error("{}: has the same pixels as {} and adds nothing; leave one of them out", path.display(), other.display())]
     SamePixels {
-        /// The frame whose name is later.
+        /// The frame whose path sorts later.
         path: PathBuf,
-        /// The frame whose name is earlier.
+        /// The frame whose path sorts earlier.
         other: PathBuf,
     },
     /// No frame has enough detail to be aligned; all are merged without alignment.
@@ -123,7 +123,7 @@ pub enum Warning {
         /// The given exposures and the estimates.
         detail: String,
     },
-    /// The exposure of a frame differs from the pixels by more than the largest correction.
+    /// The pixels require a larger correction of the exposure of a frame than the largest that is applied.
     #[error(
         "{}: according to the pixels, the exposure should be corrected by {wanted_stops:+.2} stops; it was corrected by only {used_stops:+.2} stops, which is the limit; to set the exposures, give -e",
         path.display()
@@ -131,7 +131,7 @@ pub enum Warning {
     ExposureBounded {
         /// The frame.
         path: PathBuf,
-        /// The correction that fits best, in stops.
+        /// The correction that fits the pixels best, in stops.
         wanted_stops: f64,
         /// The correction used, in stops.
         used_stops: f64,
@@ -172,7 +172,7 @@ pub enum Warning {
         /// The frames.
         paths: Vec<PathBuf>,
     },
-    /// The response file is of another camera than the photographs, or does not fit them.
+    /// The response file was made for another camera than that of the photographs, or does not fit them.
     #[error("{}: {detail}", path.display())]
     ResponseDoubtful {
         /// The response file.
@@ -180,7 +180,7 @@ pub enum Warning {
         /// Why the response may not be valid for the photographs, and what to do.
         detail: String,
     },
-    /// Brackets of one response are from different cameras.
+    /// Brackets for which one response is recovered are from different cameras.
     #[error("{}: was taken with {found}, other brackets with {kept}, and one curve is fitted to both; give brackets of one camera", path.display())]
     CamerasDiffer {
         /// The reference frame of the bracket.
@@ -190,12 +190,12 @@ pub enum Warning {
         /// The camera of the first bracket.
         kept: String,
     },
-    /// A bracket could not be used for the response of several brackets.
+    /// A bracket could not be used to recover the response of several brackets.
     #[error("{}: its bracket is not used for the response: {reason}", path.display())]
     BracketLeftOut {
         /// The first photograph of the bracket.
         path: PathBuf,
-        /// The message of the error.
+        /// Text of the error of this bracket.
         reason: String,
     },
     /// The colour profile of a frame differs from that of the reference, which is kept.
@@ -228,7 +228,7 @@ pub enum Warning {
         /// The number of pixels outside the colour space, and how they were changed.
         detail: String,
     },
-    /// The requested size of the picture is larger than that of the radiance.
+    /// The requested size of the picture is larger than the size of the radiance map.
     #[error("the picture has {longest_px} pixels on its longest side and is not enlarged to {asked_px}")]
     NotEnlarged {
         /// Longest side of the picture, in pixels.
@@ -236,7 +236,7 @@ pub enum Warning {
         /// The requested longest side, in pixels.
         asked_px: usize,
     },
-    /// The mean colour of the picture is not that of a light source, so the white balance was not changed.
+    /// The mean colour of the picture is not the colour of a light source, so the white balance was not changed.
     #[error(
         "--white-balance auto: the mean colour is not the colour of a light source, so the white balance is unchanged; give a temperature or a grey spot"
     )]

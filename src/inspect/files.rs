@@ -1,7 +1,7 @@
-//! Writes the sheets and tables of an inspection into a folder: all files or none.
+//! Writes the sheets (drawings) and tables of an inspection into a folder. Either all files are written or none.
 //!
-//! In: an [`Inspection`] and a folder. Out: files named after the photographs: `NAME.keypoints.svg`, ..., and `tables.txt`,
-//! `tables.json`. Cost: that of drawing; one frame's sheets are in memory at a time.
+//! In: an [`Inspection`] and a folder. Out: files named after the photographs, such as `NAME.keypoints.svg`, and
+//! `tables.txt` and `tables.json`. Cost: that of drawing. The sheets of one frame are in memory at a time.
 
 use super::tables::Tables;
 use super::{Inspection, Sheet, SheetKind};
@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::{fs, io};
 use strum::VariantArray;
 
-/// Paths and contents of files in memory.
+/// The paths of files, each with the content that will be written.
 type Named = Vec<(PathBuf, Vec<u8>)>;
 
 const TEXT: &str = "tables.txt";
@@ -24,7 +24,8 @@ const JSON: &str = "tables.json";
 /// files may exist.
 ///
 /// # Errors
-/// [`Error::Option`] for two photographs with the same name, [`Error::Write`] if the folder cannot be used, [`Error::OutputExists`].
+/// [`Error::Option`] if two photographs have the same name; [`Error::Write`] if the folder cannot be used;
+/// [`Error::OutputExists`] if one of the files exists.
 pub fn check(folder: &Path, images: &[PathBuf], overwrite: bool) -> Result<()> {
     let mut stems: Vec<String> = Vec::new();
     for image in images {
@@ -54,21 +55,23 @@ pub fn check(folder: &Path, images: &[PathBuf], overwrite: bool) -> Result<()> {
             write::check_targets(&Target::of("-d", &files), images, overwrite)
         }
         Err(e) if e.kind() == io::ErrorKind::NotFound => {
-            // The folder is created when the files are written; here only its parent is checked.
+            // The folder does not exist yet. It is created when the files are written. Here only its parent is
+            // checked.
             write::check_targets(&Target::of("-d", &[folder.to_owned()]), images, true)
         }
         Err(e) => Err(write_error(folder, e)),
     }
 }
 
-/// Draws and writes everything into `folder`, which is created if needed. Returns the tables, which list the files in the order
-/// written. On an error no new file or folder remains.
+/// Draws all sheets, and writes them and the tables into `folder`. Creates the folder if it does not exist. Returns
+/// the tables, which list the files in the order written. After an error, no new file or folder remains.
 ///
 /// # Errors
-/// [`Error::Write`]; [`Error::OutputExists`] if a target was created meanwhile and `overwrite` is off.
+/// [`Error::Write`]; [`Error::OutputExists`] if one of the files was created since [`check`] and `overwrite` is
+/// false.
 pub fn write(inspection: &Inspection, folder: &Path, overwrite: bool) -> Result<Tables> {
-    // Declared before the files, and so dropped after them: the folder can be removed only after the temporary files in
-    // it.
+    // This variable is declared before the files, so it is dropped after them. On an error, the temporary files in
+    // the folder are thus removed first, and then the empty folder.
     let made = NewFolder::create(folder)?;
     let mut files: Vec<CompleteFile> = Vec::new();
     for (i, frame) in inspection.bracket.frames().iter().enumerate() {

@@ -1,9 +1,11 @@
-//! Inspection of the alignment of a bracket: tables and drawings of the data that it is based on.
+//! Inspection of the alignment of a bracket: tables and drawings of the data on which the alignment is based.
 //!
-//! In: a [`Bracket`], its [`Alignment`] and the options used for it. Out: an [`Inspection`]: `Tables` of exposures, alignment,
-//! bitmaps, keypoints and matches; and for each frame [`Sheet`]s of bitmaps, keypoints, matches, XOR curves and edges, drawn on
-//! request. Cost: bitmaps and features of all frames by both detectors, some tenths of a second each, even if the alignment
-//! did not need them; as much again for drawing. Source: the tables and figures of chapter 4 of the thesis, for any bracket.
+//! In: a [`Bracket`], its [`Alignment`], and the options used for it. Out: an [`Inspection`]. It contains `Tables` of
+//! exposures, alignment, bitmaps, keypoints and matches. On request, it draws [`Sheet`]s for each frame: bitmaps,
+//! keypoints, matches, XOR curves and edges. Cost: bitmaps, SIFT and SURF features of all frames are computed, even
+//! if the alignment did not need them. This takes some tenths of a second for each frame and detector; drawing takes
+//! as long again. Source: the tables and figures in chapter 4 of the thesis on which hdralign is based; here they can
+//! be made for any bracket.
 
 pub(crate) mod files;
 pub(crate) mod sheets;
@@ -30,33 +32,35 @@ use tables::{DetectorTimes, Tables};
 
 /// Maximum width and height of a drawn frame, in px.
 const DRAWN: (usize, usize) = (1600, 1600);
-/// Maximum width and height of each of two frames side by side, in px.
+/// Maximum width and height of each frame when two frames are drawn side by side, in px.
 const DRAWN_BESIDE: (usize, usize) = (792, 1000);
 
-/// The data that the alignment of one frame is based on.
+/// The data on which the alignment of one frame is based.
 #[derive(Debug, Clone)]
 struct Evidence {
     bitmaps: FrameBitmaps,
-    /// Difference from the bitmaps of the reference; `None` for the reference.
+    /// Difference between the bitmaps of this frame and of the reference frame; `None` for the reference frame
+    /// itself.
     xor: Option<XorCurves>,
     sift: Detected,
     surf: Detected,
 }
 
-/// The features of a frame that one detector found.
+/// The features that one detector found in a frame, and their matches.
 #[derive(Debug, Clone)]
 struct Detected {
     features: FrameFeatures,
-    /// Matches with the reference, indexed by [`FeatureKind`]; `None` for the reference.
+    /// Matches between this frame and the reference frame, indexed by [`FeatureKind`]; `None` for the reference
+    /// frame.
     matchings: Option<[Matching; 3]>,
 }
 
-/// The data that the alignment of a bracket is based on.
+/// The data on which the alignment of a bracket is based.
 #[derive(Debug, Clone)]
 pub struct Inspection<'a> {
     bracket: &'a Bracket,
     alignment: &'a Alignment,
-    /// The method of the alignment; features of its detector are drawn.
+    /// The alignment method. The features of its detector (SIFT or SURF) are drawn.
     mode: AlignMode,
     pyramids: Vec<GreyPyramid>,
     evidence: Vec<Evidence>,
@@ -72,7 +76,7 @@ pub enum Sheet {
     Drawing(Drawing),
 }
 
-/// Content of a sheet; the reference has only the first three kinds.
+/// The content of a sheet. The reference frame has only sheets of the first three kinds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, strum::IntoStaticStr, strum::VariantArray)]
 #[strum(serialize_all = "lowercase")]
 pub enum SheetKind {
@@ -80,18 +84,18 @@ pub enum SheetKind {
     Threshold,
     /// The exclusion bitmap.
     Exclusion,
-    /// Keypoints on the frame.
+    /// The keypoints, drawn on the frame.
     Keypoints,
-    /// Matches with the reference.
+    /// The matches between the frame and the reference frame.
     Matches,
-    /// Share of bitmap pixels that differ, plotted over rotation and shift.
+    /// The fraction of bitmap pixels that differ between frame and reference frame, plotted over rotation and shift.
     Xor,
-    /// Edges of frame and reference in two colours, before and after alignment.
+    /// The edges of the frame and of the reference frame in two colours, before and after alignment.
     Edges,
 }
 
 impl SheetKind {
-    /// Returns the extensions of the files to which a sheet of this kind is written.
+    /// Returns the extensions of the files that are written for a sheet of this kind.
     pub fn extensions(self) -> &'static [&'static str] {
         match self {
             SheetKind::Threshold | SheetKind::Exclusion => &["png"],
@@ -100,7 +104,8 @@ impl SheetKind {
     }
 }
 
-/// Collects the data on which `alignment` is based; it was computed with `options` and produced `warnings`.
+/// Collects the data on which `alignment` is based. `options` are the options with which it was computed, and
+/// `warnings` the warnings that it produced.
 ///
 /// # Errors
 /// [`Error::Scratch`](crate::error::Error::Scratch) if frames on disk cannot be read.
@@ -113,8 +118,9 @@ pub fn inspect<'a>(
     gathered(bracket, alignment, options, warnings, &grey_pyramid, &|_, _| true)
 }
 
-/// Like [`inspect`], with less memory and time. Large frames are drawn at half their size at most. Features are
-/// computed only for frames for which `wants_features` returns true, and only by the detector of `options`.
+/// Does the same as [`inspect`] with less memory and time. A large frame is drawn at no more than half its size.
+/// Features are computed only by the detector of `options`, and only for frames for which `wants_features` returns
+/// true.
 ///
 /// # Errors
 /// Those of [`inspect`].
@@ -226,35 +232,38 @@ impl Inspection<'_> {
         &self.evidence[i].bitmaps
     }
 
-    /// Returns what the detector of the alignment found in frame `i`.
+    /// Returns the features that the detector of the alignment found in frame `i`.
     fn detected(&self, i: usize) -> &Detected {
         let evidence = &self.evidence[i];
         if self.mode == AlignMode::Surf { &evidence.surf } else { &evidence.sift }
     }
 
-    /// Returns the keypoints of frame `i`, of the detector of the alignment.
+    /// Returns the keypoints that the detector of the alignment found in frame `i`.
     pub fn features(&self, i: usize) -> &FrameFeatures {
         &self.detected(i).features
     }
 
-    /// Returns the difference between the bitmaps of frame `i` and of the reference, or `None` for the reference.
+    /// Returns the difference between the bitmaps of frame `i` and of the reference frame; `None` for the reference
+    /// frame.
     pub fn xor(&self, i: usize) -> Option<&XorCurves> {
         self.evidence[i].xor.as_ref()
     }
 
-    /// Returns the matches of frame `i` with the reference, those of the photograph and those of its bitmaps in one
-    /// list, or `None` for the reference.
+    /// Returns the matches between frame `i` and the reference frame; `None` for the reference frame. The list
+    /// contains the matches of keypoints in the photographs and of keypoints in their bitmaps.
     pub fn matching(&self, i: usize) -> Option<&Matching> {
         self.detected(i).matchings.as_ref().map(|all| &all[FeatureKind::Merged as usize])
     }
 
-    /// Returns frame `i` in grey with a width and height of at most `most`, and whether it was brightened to be visible.
+    /// Returns the grey values of frame `i`, with a width and height of at most `most`, and whether they were
+    /// brightened because the frame is dark.
     pub fn photograph(&self, i: usize, most: (usize, usize)) -> (Plane<u8>, bool) {
         let photograph = Photograph::new(self.pyramids[i].largest(), most);
         (photograph.grey, photograph.brightened)
     }
 
-    /// Returns the edges of frame `i` and the reference in two colours, at most `most` px wide, or `None` for the reference.
+    /// Returns the edges of frame `i` and of the reference frame in two colours, at most `most` px wide; `None` for
+    /// the reference frame.
     ///
     /// # Errors
     /// A message if the scratch file cannot be read.
@@ -283,7 +292,7 @@ impl Inspection<'_> {
         file_name(&self.frame(i).path().to_string_lossy())
     }
 
-    /// Returns the title of a sheet: frame, content, exposure and alignment status.
+    /// Returns the title of a sheet: the name of the frame, what is drawn, the exposure and the alignment status.
     fn title(&self, i: usize, what: &str) -> String {
         let table = &self.tables.frames[i];
         let status = text::status_word(table.report.alignment.status);

@@ -1,7 +1,7 @@
-//! Tables: exposures, alignment, bitmaps, keypoints and matches of every frame, for programs.
+//! Tables for programs: exposures, alignment, bitmaps, keypoints and matches of every frame.
 //!
-//! In: the [`Report`] of an alignment and the evidence of each frame. Out: `tables.json`, with the version [`SCHEMA`]
-//! and units in its keys. Cost: negligible.
+//! In: the [`Report`] of an alignment, and the bitmaps and features of each frame. Out: `tables.json`. Its version is
+//! [`SCHEMA`], and its keys contain the units. Cost: negligible.
 
 use super::{Detected, Evidence};
 use crate::align::diagnostics::{Curve, FeatureKind, distance_px};
@@ -11,7 +11,7 @@ use crate::report::{FrameReport, Report, WarningReport};
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// The version of the JSON: keys may be added, but are never removed.
+/// The version of the JSON format: keys may be added, but are never removed.
 pub const SCHEMA: &str = "hdralign-inspect/1";
 
 /// All tables of a bracket.
@@ -29,20 +29,21 @@ pub struct Tables {
     pub level_width_px: usize,
     /// Height of the pyramid level used for bitmaps and features.
     pub level_height_px: usize,
-    /// The frame that the others are aligned to.
+    /// The path of the frame that the others are aligned to.
     pub reference: String,
-    /// The frames by rising exposure.
+    /// The frames, from the smallest to the largest exposure.
     pub frames: Vec<FrameTable>,
-    /// The files written.
+    /// The paths of the files that were written.
     pub outputs: Vec<String>,
-    /// The warnings.
+    /// The warnings of the alignment.
     pub warnings: Vec<WarningReport>,
-    /// The times of the detectors; not in the files, which have the same bytes every time.
+    /// The running times of the detectors. They are not written to the files, because the files must have the same
+    /// bytes in every run.
     #[serde(skip)]
     pub times: DetectorTimes,
 }
 
-/// Elapsed time in which each detector found the keypoints of all frames and their matches, in seconds.
+/// For each detector, the elapsed time for finding the keypoints of all frames and their matches, in seconds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DetectorTimes {
     /// Time of SIFT.
@@ -51,56 +52,59 @@ pub struct DetectorTimes {
     pub surf_s: f64,
 }
 
-/// The measurements of one frame.
+/// The measured values for one frame.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FrameTable {
-    /// Exposure and alignment, as in the report of a run.
+    /// The exposure and the alignment of the frame, as in the report of `merge`.
     #[serde(flatten)]
     pub report: FrameReport,
-    /// Exposure relative to the reference, in stops.
+    /// Exposure of the frame divided by the exposure of the reference frame, in stops (log2).
     pub relative_ev: f64,
     /// The bitmaps of the frame.
     pub mtb: BitmapTable,
-    /// The SIFT keypoints of the frame, and the motion found from them.
+    /// The SIFT keypoints of the frame, and the motion that they alone give.
     pub features: FeatureTable,
-    /// The SURF keypoints of the frame, and the motion found from them.
+    /// The SURF keypoints of the frame, and the motion that they alone give.
     pub surf: FeatureTable,
 }
 
 /// The bitmaps of one frame.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct BitmapTable {
-    /// The percentile of the grey values that is the threshold.
+    /// The percentile of the grey values that is used as the threshold.
     pub percentile: Percentile,
     /// The threshold, a grey value 0..=255.
     pub threshold_level: u8,
-    /// Fraction of the pixels excluded because they are too close to the threshold.
+    /// Fraction of the pixels that are excluded because their grey value is too close to the threshold.
     pub excluded_share: f64,
-    /// Difference from the bitmap of the reference; null for the reference.
+    /// Difference from the bitmap of the reference frame; null for the reference frame.
     pub xor: Option<XorTable>,
 }
 
-/// Difference of two bitmaps, as a fraction of the pixels that count in both.
+/// Difference of two bitmaps: the number of pixels that differ, divided by the number of pixels that are excluded in
+/// neither.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct XorTable {
-    /// Share before alignment.
+    /// Fraction of the pixels that differ before alignment.
     pub before_share: f64,
-    /// Share after alignment.
+    /// Fraction of the pixels that differ after alignment.
     pub after_share: f64,
-    /// Share at each rotation, in degrees, with the shift of the found motion.
+    /// Fraction as a function of the rotation in degrees. The shift is that of the found motion.
     pub by_angle_deg: Samples,
-    /// Share at each shift to the right, in pixels, with the rotation and downward shift of the found motion.
+    /// Fraction as a function of the shift to the right in pixels. Rotation and downward shift are those of the found
+    /// motion.
     pub by_dx_px: Samples,
-    /// Share at each shift downwards, in pixels, with the rotation and rightward shift of the found motion.
+    /// Fraction as a function of the downward shift in pixels. Rotation and shift to the right are those of the found
+    /// motion.
     pub by_dy_px: Samples,
 }
 
-/// The samples of a curve.
+/// Points of a curve.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Samples {
-    /// Sampled values of the parameter.
+    /// Values of the rotation or shift at the points.
     pub at: Vec<f64>,
-    /// Fraction of the pixels that differ, for each value in `at`.
+    /// Fraction of the pixels that differ at each value in `at`.
     pub share: Vec<f64>,
 }
 
@@ -110,14 +114,14 @@ impl From<&Curve> for Samples {
     }
 }
 
-/// The three kinds of keypoints.
+/// The keypoints that one detector found in a frame, of three kinds.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FeatureTable {
     /// Keypoints of the photograph.
     pub plain: KindTable,
     /// Keypoints of the median threshold bitmaps of the photograph.
     pub mtb: KindTable,
-    /// Keypoints of photograph and bitmaps; a point found in both is counted once.
+    /// Keypoints of the photograph and of its bitmaps together; a keypoint found in both is counted once.
     pub merged: KindTable,
 }
 
@@ -128,44 +132,47 @@ impl FeatureTable {
     }
 }
 
-/// Keypoints of one kind; for the reference, all values except `keypoints` are null.
+/// The results for keypoints of one kind. For the reference frame, all values except `keypoints` are null.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct KindTable {
     /// Number of keypoints.
     pub keypoints: usize,
-    /// Number of matches with the reference.
+    /// Number of matches with the reference frame.
     pub matches: Option<usize>,
-    /// Number of inliers of the robust estimator.
+    /// Number of matches that are inliers of the robust estimator.
     pub inliers: Option<usize>,
-    /// Root mean square distance over the picture between the motion from these keypoints and the alignment; null if
-    /// one of the two is missing.
+    /// Distance between the motion from these keypoints and the motion of the alignment, in px: the root mean square
+    /// over the picture. Null if one of the two motions is missing.
     pub off_px: Option<f64>,
-    /// Comparison of the motion from these keypoints with the alignment.
+    /// Result of the comparison of the motion from these keypoints with the alignment.
     pub verdict: Option<MotionComparison>,
 }
 
-/// Comparison of the motion from one kind of keypoints with the alignment.
+/// Result of the comparison of two motions: the motion from one kind of keypoints, and the motion of the alignment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum MotionComparison {
-    /// The motion is that of the alignment, within `NEAR_PX`.
+    /// The two motions are equal, within `NEAR_PX`.
     Agrees,
-    /// The motion differs from that of the alignment.
+    /// The two motions differ.
     Differs,
-    /// The keypoints have too few inliers for a motion.
+    /// There are too few inliers among these keypoints for a motion.
     NoMotion,
-    /// A motion was found, but the frame has no transform to compare it with.
+    /// The keypoints give a motion, but the alignment has no transform for the frame.
     NoPlace,
 }
 
-/// Root mean square distance up to which motions count as equal, in px per 1000 px of the picture diagonal: the
-/// precision of matches that are accurate to about one pixel of their pyramid level.
+/// Two motions count as equal up to this root mean square distance, in px per 1000 px of the picture diagonal; in px
+/// if the diagonal is shorter than that. This is the precision of matches that are accurate to about one pixel of
+/// their pyramid level.
 const NEAR_PX: f64 = 1.0;
-/// Smallest number of inliers of a motion; four are not evidence, because a homography always fits four matches.
+/// Smallest number of inliers for a motion. Four inliers would prove nothing, because a homography fits any four
+/// matches.
 const LEAST_INLIERS: usize = 10;
 
 impl Tables {
-    /// Creates the tables from the `report`, and the `evidence` and placement of each of its frames.
+    /// Creates the tables from `report`, and from the evidence (bitmaps and features) and the placement (in
+    /// `alignment`) of each frame.
     pub(super) fn new(report: Report, evidence: &[Evidence], alignment: &Alignment, times: DetectorTimes) -> Self {
         let size = (report.width_px, report.height_px);
         let reference = report.frames.iter().find(|f| f.alignment.status == Status::Reference);
@@ -194,17 +201,17 @@ impl Tables {
         }
     }
 
-    /// Records the files written.
+    /// Adds the paths of files that were written.
     pub(super) fn add_outputs(&mut self, paths: &[PathBuf]) {
         self.outputs.extend(paths.iter().map(|p| p.to_string_lossy().into_owned()));
     }
 
-    /// Returns true if a warning degrades the result: with `--strict` the exit code is 3.
+    /// Returns whether a warning degrades the result; with `--strict`, the exit code is then 3.
     pub fn is_degraded(&self) -> bool {
         self.warnings.iter().any(|w| w.degrades)
     }
 
-    /// Returns the tables as JSON with a final line feed.
+    /// Returns the tables as JSON, with a newline at the end.
     pub fn to_json(&self) -> String {
         // The tables contain only strings, numbers and lists of them, so the conversion cannot fail.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"

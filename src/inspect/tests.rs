@@ -1,4 +1,4 @@
-//! Inspection of a bracket with known motion: contents of tables and sheets.
+//! Tests of the inspection of a bracket with known motion: the contents of tables and sheets.
 
 use super::*;
 use crate::align;
@@ -10,7 +10,8 @@ use crate::plane::Plane;
 
 const SIZE: (usize, usize) = (420, 300);
 
-/// Returns a bracket of three exposures of a scene with known motion; the second is the reference.
+/// Returns a bracket of three exposures of a scene, with known motion between them. The second frame is the reference
+/// frame.
 fn bracket() -> Bracket {
     let scene = Scene::new(11);
     let frame = |name: &str, ev: f64, warp: Transform| {
@@ -79,7 +80,7 @@ fn the_text_has_every_table_and_a_row_for_each_photograph() {
             for name in ["dark <1>.png", "middle.png", "bright.png"] {
                 assert_eq!(table.iter().filter(|l| l.starts_with(name)).count(), 1, "table {number}: {name}\n{text}");
             }
-            // The rule below the header is as wide as the table.
+            // The line of dashes below the header is as wide as the table.
             let widest = table.iter().take(5).map(|l| l.chars().count()).max();
             assert_eq!(Some(table[1].chars().count()), widest, "table {number}\n{text}");
         }
@@ -103,12 +104,13 @@ fn every_sheet_is_well_formed_with_its_stated_size() {
                         let drawing = drawn(sheet);
                         let svg = drawing.to_svg();
                         resvg::usvg::roxmltree::Document::parse(&svg).unwrap();
-                        // Lines of pictures are skipped, because their base64 may contain these letters.
+                        // Lines with embedded pictures are skipped, because their base64 data may contain `NaN` or
+                        // `inf` by chance.
                         let marks = svg.lines().filter(|l| !l.starts_with("<image"));
                         assert!(marks.clone().all(|l| !l.contains("NaN") && !l.contains("inf")), "{kind:?}");
                         let pixels = drawing.to_pixels().unwrap();
                         assert_eq!((pixels.width(), pixels.height()), (drawing.width(), drawing.height()));
-                        // Something is drawn: more than 5 % of the pixels are not white.
+                        // The sheet is not empty: more than 5 % of its pixels are not white.
                         let marked = pixels.as_slice().iter().filter(|p| **p != [255; 3]).count();
                         assert!(marked * 20 > pixels.as_slice().len(), "{kind:?}");
                     }

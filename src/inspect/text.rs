@@ -1,7 +1,8 @@
-//! The tables as text in columns.
+//! Formats the tables as text in columns.
 //!
-//! In: [`Tables`]. Out: `tables.txt`. Cost: none. Tables 2 to 6 are Tables 4.1 to 4.3 of the thesis, for any bracket and for two
-//! detectors: keypoints, matches and resulting motion, for the photograph, for its bitmaps, and for both merged.
+//! In: [`Tables`]. Out: the content of `tables.txt`. Cost: none. Tables 2 to 6 contain keypoints, matches and the
+//! resulting motion, each for the photograph, for its bitmaps, and for both together. Source: tables 4.1 to 4.3 of
+//! the thesis on which hdralign is based; here for any bracket and for two detectors.
 
 use super::tables::{FeatureTable, FrameTable, KindTable, MotionComparison, Tables};
 use crate::align::grey::Percentile;
@@ -9,9 +10,10 @@ use crate::align::{Model, Status};
 use crate::bracket::exposure::ExposureSource;
 use crate::draw::markup::file_name;
 
-/// Factor and offset of the warning about a wrong motion: it is given if the share of differing bitmap pixels after
-/// alignment is above factor * (share before) + offset. They are low enough to detect a wrong motion, and higher than
-/// the effect of rounding to whole pixels.
+/// Factor and offset for a warning about a probably wrong motion. `before` and `after` are the fractions of bitmap
+/// pixels that differ before and after alignment. The warning is given if `after > factor * before + offset`. The two
+/// numbers are small enough to detect a wrong motion, and large enough to ignore the effect of rounding to whole
+/// pixels.
 const AGAINST: (f64, f64) = (1.5, 0.005);
 
 impl Tables {
@@ -89,8 +91,8 @@ impl Tables {
     }
 }
 
-/// Formats `rows` under `header`: the first column is left-aligned, the others right-aligned, with two spaces between
-/// columns.
+/// Formats `rows` below `header`. The first column is left-aligned, the others are right-aligned. There are two
+/// spaces between columns.
 fn columns(header: &[&str], rows: impl Iterator<Item = Vec<String>>) -> String {
     let mut all: Vec<Vec<String>> = vec![header.iter().map(|h| (*h).to_owned()).collect()];
     all.extend(rows);
@@ -115,12 +117,12 @@ fn or_nothing<T>(value: Option<T>, show: impl Fn(T) -> String) -> String {
     value.map_or_else(|| NOTHING.to_owned(), show)
 }
 
-/// Formats an exposure time as on a camera: `1/250 s`, `2 s`.
+/// Formats an exposure time as cameras show it, such as `1/250 s` or `2 s`.
 pub(crate) fn shutter(seconds: f64) -> String {
     if seconds < 0.3 { format!("1/{:.0} s", 1.0 / seconds) } else { format!("{} s", (seconds * 10.0).round() / 10.0) }
 }
 
-/// Formats stops with their sign.
+/// Formats a difference of exposures in stops, with its sign.
 pub(crate) fn stops(ev: f64) -> String {
     // Values that round to zero have no sign.
     if ev.abs() < 0.005 { "0.00".into() } else { format!("{ev:+.2}") }
@@ -200,7 +202,7 @@ fn place_row(frame: &FrameTable) -> Vec<String> {
     ]
 }
 
-/// Formats a percentile as an ordinal number.
+/// Formats a percentile as an ordinal number, such as `84th`; 50 becomes `median`.
 fn percentile_word(percentile: Percentile) -> String {
     match percentile.percent() {
         50 => "median".into(),

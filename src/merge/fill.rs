@@ -1,21 +1,22 @@
-//! Filling: frames with assumed transforms fill what is clipped or black in all others.
+//! Filling: frames with assumed transforms fill what is clipped or black in all other frames.
 //!
 //! In: the mean of the frames with known transforms, and a row of all frames. Out: the radiance of the row. Cost: none
 //! if no transform is assumed, else the cost of the mean again.
 //!
-//! P is the mean of the frames with known transforms. A is the mean of the frames with assumed transforms: of those
-//! darker than the reference for clipped pixels, of those brighter for black pixels. The radiance of clipped and of
+//! P is the mean of the frames with known transforms. A is the mean of frames with assumed transforms: for clipped
+//! pixels, of those shorter than the reference; for black pixels, of those longer. The radiance E of clipped and of
 //! black pixels is
 //!
 //! ```text
 //! clipped: E = (1 - a) P + a max(A, L)        black: E = (1 - b) P + b min(A, U)
 //! ```
 //!
-//! - a rises from 0 to 1 over the code values at which the shortest known frame begins to clip, b over those at which
-//!   the longest known frame falls to black: an assumed frame, which may be displaced, is not used where a known frame
-//!   shows something.
-//! - L is the smallest radiance that the shortest known frame allows, U the largest that the longest allows. At the
-//!   edge of a lamp, where a displaced frame may show the dark wall, E is never below L.
+//! - a rises from 0 to 1 over the code values at which the shortest known frame begins to clip. b rises from 0 to 1
+//!   over the code values at which the longest known frame falls to black. So an assumed frame, which may be displaced,
+//!   is used only where no known frame shows the scene.
+//! - L is the smallest radiance that agrees with the code value of the shortest known frame, U the largest that agrees
+//!   with that of the longest known frame. At the edge of a lamp, where a displaced frame may show the dark wall, E is
+//!   never below L.
 
 use super::layer::{CLIPS, COLUMNS, Fill, LIFT, Layer, Meaning, PAINTED, Taken, Tile};
 use super::mean::{Channels, Means};
@@ -26,9 +27,9 @@ pub(super) struct Filling {
     means: Means,
     /// A: the mean of the frames that fill.
     filled: Channels,
-    /// L or U of each pixel.
+    /// The bound L or U (see the [module](self)) of each pixel.
     bound: Channels,
-    /// a or b of each pixel, 0..=1.
+    /// The fraction a or b (see the [module](self)) of each pixel, 0..=1.
     part: [f32; COLUMNS],
     meanings: [Meaning; COLUMNS],
 }
@@ -38,7 +39,7 @@ pub(super) struct Filling {
 pub(super) struct FilledRow<'a, 'b> {
     pub layers: &'a [Layer<'b>],
     pub tiles: &'a [Tile],
-    /// For each frame the share and the factor of each pixel.
+    /// For each frame, the motion-mask factor on the weight and the gain on the radiance of each pixel.
     pub taken: &'a [Taken<'a>],
     pub y: usize,
     pub fill: Fill,
@@ -53,7 +54,7 @@ impl Filling {
         Filling { means: Means::new(), filled: none, bound: none, part: [0.0; COLUMNS], meanings: [[0.0; 4]; COLUMNS] }
     }
 
-    /// Returns a or b of each pixel of the last row, 0..=1.
+    /// Returns the fraction a or b (see the [module](self)) of each pixel of the last row, 0..=1.
     pub fn part(&self) -> &[f32; COLUMNS] {
         &self.part
     }
@@ -66,8 +67,8 @@ impl Loops for FilledRow<'_, '_> {
     fn run(self) {
         let FilledRow { layers, tiles, taken, y, fill, filling, known, radiance } = self;
         let Filling { means, filled, bound, part, meanings } = filling;
-        // a or b of each pixel: from the shortest known frame used there if clipped pixels are filled, from the longest
-        // if black.
+        // The fraction a or b of each pixel. a is from the shortest known frame that is used at the pixel, b from the
+        // longest.
         let mut end = [0.0f32; COLUMNS];
         let mut is_seen = [0u32; COLUMNS];
         let known_ones = layers.iter().zip(tiles).zip(taken).filter(|((layer, _), _)| layer.fill.is_none());
@@ -83,7 +84,8 @@ impl Loops for FilledRow<'_, '_> {
                 is_seen[x] |= u32::from(is_used);
                 let top = at_least(at_least(red[x], green[x]), blue[x]);
                 let (begins, sure) = (CLIPS.0 as f32, CLIPS.1 as f32);
-                // For black pixels, code values above black are mirrored, so that the limits of clipping apply.
+                // To fill black pixels, the code value above black is mirrored (subtracted from 255), so that the
+                // limits `CLIPS` apply.
                 let reaches = match fill {
                     Fill::Clipped => top,
                     Fill::Black => 255.0 - (top - layer.black),
@@ -174,15 +176,16 @@ mod tests {
         let unit = f64::from(curve.exposure(0, 255.0));
         for x in 0..SIZE.0 {
             let truth = ramp(x)[1] * unit;
-            // Frames 1 and 3 suffice while frame 1 (exposure 1/16) is below code value 230, where a begins, and frame 3
-            // (exposure 16) above 25, where b begins; 228 and 27 leave a margin for rounding.
+            // The assumed frames 0 and 4 are not used while frame 1 (exposure 1/16) is below code value 230, where a
+            // begins to rise, and frame 3 (exposure 16) is above 25, where b begins to rise. The limits 228 and 27
+            // leave a margin for rounding.
             let is_held = ramp(x)[1] < 16.0 * f64::from(curve.exposure(0, 228.0)) / unit
                 && ramp(x)[1] * 16.0 > f64::from(curve.exposure(0, 27.0)) / unit;
             if is_held {
                 assert_eq!(filled[x], without[x], "{x}");
             }
-            // Ranges that only the assumed frames show: frame 1 clips above 16, and frame 0 at 256; below 5e-4 frame 3
-            // has code values below 23, and at 4e-5 frame 4 still has code value 26.
+            // Only the assumed frames show these ranges of radiance. Frame 1 clips above 16, and frame 0 at 256. Below
+            // 5e-4 frame 3 has code values below 23, and at 4e-5 frame 4 still has code value 26.
             if (16.5..240.0).contains(&ramp(x)[1]) || (4.0e-5..5.0e-4).contains(&ramp(x)[1]) {
                 let found = f64::from(filled[x][1]) / truth;
                 assert!((found - 1.0).abs() < 0.06, "{x}: {found}, {} with all", f64::from(all[x][1]) / truth);
@@ -194,7 +197,7 @@ mod tests {
 
     #[test]
     fn displaced_assumed_frame_changes_only_clipped_places() {
-        // A lamp, which frame 0 shows ten pixels to the right.
+        // The scene is a lamp. Frame 0 shows it displaced by ten pixels to the right.
         let lamp = |at: usize, x: usize| if x.abs_diff(at) <= 20 { [200.0; 3] } else { [0.02; 3] };
         let (bracket, mut alignment) = bracket(|x, _| lamp(150, x));
         let (without, _) = merged(&bracket, &with(&alignment, Status::Rejected));
@@ -210,7 +213,7 @@ mod tests {
                 assert!(new > 10.0 * old, "{x}: {new} {old}");
             } else {
                 // Near the edge of the lamp, frame 0 may show the wall. The result is then at least L, the radiance of
-                // the code value six below white.
+                // the known frame's code value minus 6 (`LIFT`).
                 assert!(new > 0.9 * old, "{x}: {new} {old}");
             }
         }

@@ -18,33 +18,35 @@ use std::ops::Range;
 pub(super) const COLUMNS: usize = 128;
 /// Largest height of a tile in pixels.
 pub(super) const ROWS: usize = 32;
-/// Distance of two rows in the planes of a tile, with a margin of one pixel on either side and padding.
+/// Number of values from one row to the next in the planes of a tile: the columns, one pixel of margin on either side,
+/// and padding.
 const LINE: usize = COLUMNS + 8;
 /// Largest number of rows of a tile, with a margin of one pixel.
 const LINES: usize = ROWS + 2;
 
-/// Number of code values by which noise and JPEG may brighten a pixel. The lower bound of the radiance is the radiance
-/// of the code value minus this.
+/// Number of code values by which noise and JPEG may brighten a pixel. The lower bound of a pixel's radiance is the
+/// radiance of its code value minus this number.
 pub(super) const LIFT: usize = 6;
 /// Code values between which a frame begins to clip: it is clipped if a shorter frame shows more radiance than the
 /// second code value stands for, and not clipped if less than the first.
 pub(super) const CLIPS: (usize, usize) = (230, 250);
-/// For the factor v of the [equation](super): number of code values below white over which v falls from 1 as the
-/// brightest channel rises, and v at white. v is not 0 at white, so that a frame with one clipped channel still
-/// contributes to the other channels if every frame without clipping is darker by some stops.
+/// Two parameters of the factor v of the [equation](super). First, the number of code values below white over which v
+/// falls from 1 as the brightest channel rises. Second, v at white. It is not 0, so that a frame with one clipped
+/// channel still contributes to the other channels if every frame without clipping is darker by some stops.
 const GUARD: (f32, f32) = (16.0, 0.25);
 
 /// Code value from which on a pixel counts as clipped.
 const TOP: f32 = 253.0;
-/// Factor on the weight of the eight neighbours of a clipped pixel, which JPEG ringing, sharpening and resampling
-/// change. On rendered brackets 0.5 gains 0.1 to 0.6 dB if frames moved, and loses 0.05 dB if none did.
+/// Factor on the weight of a clipped pixel and its eight neighbours, because JPEG ringing, sharpening and resampling
+/// change the neighbours. On rendered brackets, 0.5 instead of 1 gains 0.1 to 0.6 dB if frames moved, and loses 0.05 dB
+/// if none did.
 const RINGING: f32 = 0.5;
 
-/// Largest radiance, relative to the middle code value of the reference frame: 80 stops. The smallest is its inverse.
-/// Real exposures and responses are well within this limit, which keeps sums finite.
+/// Largest radiance, as a multiple of the radiance of the reference frame's middle code value: about 2^80. The smallest
+/// radiance is the inverse. Real exposures and responses are well within this limit, which keeps sums finite.
 const MOST_RADIANCE: f64 = 1e24;
-/// Largest weight, relative to the middle code value of the longest exposure: 40 stops. Real exposures and responses
-/// are well within this limit, which keeps sums finite.
+/// Largest weight, as a multiple of the weight of the middle code value in the longest exposure: about 2^37. Real
+/// exposures and responses are well within this limit, which keeps sums finite.
 const MOST_WEIGHT: f32 = 1e11;
 
 /// Radiance, weight and lower bound of each code value of a channel of one frame.
@@ -220,7 +222,7 @@ pub(super) struct Layer<'a> {
     is_reference: bool,
     /// For each channel the meaning of each code value.
     entries: [Vec<Entry>; 3],
-    /// Largest code value from which the next one is approached by interpolation: 254, or 255 if all code values are
+    /// Largest code value at which an interpolation to the next code value starts: 254, or 255 if all code values are
     /// integers.
     last: f32,
     /// The weight of the middle code value.
@@ -231,12 +233,12 @@ pub(super) struct Layer<'a> {
     pub black: f32,
     /// Whether each channel of a pixel gets the smallest weight of the three channels.
     pub is_joint: bool,
-    /// For each channel the radiance from which on the frame is clipped, and the inverse of the range of radiance below
-    /// it over which clipping begins: both from [`CLIPS`].
+    /// For each channel, the radiance from which on the frame is clipped, and the inverse of the width of the range of
+    /// radiance just below, in which the frame begins to clip. Both are from [`CLIPS`].
     pub clips: [(f32, f32); 3],
     /// The factor v of the [equation](super) for pixels whose brightest channel is at white.
     pub guard: f32,
-    /// Factor on the weight of pixels beside clipped ones.
+    /// Factor on the weight of clipped pixels and of their neighbours.
     pub ringing: f32,
 }
 
@@ -286,8 +288,8 @@ impl Layer<'_> {
             let whole = at_most(floor32(code), self.last);
             (below[x], part[x]) = (integer32(whole) as u8, code - whole);
         }
-        // A slice of unknown length, so that the compiler loads four values at once instead of gathering those of eight
-        // pixels one by one.
+        // Indexing a slice of unknown length makes the compiler load the four values of a pixel at once, instead of
+        // gathering each value from eight pixels.
         let entries = self.entries[channel].as_slice();
         for x in 0..COLUMNS {
             let entry = &entries[usize::from(below[x])];
@@ -354,7 +356,8 @@ fn layer<'a>(
         Weight::Uniform => (f32::MAX, 1.0),
         _ => {
             let (begins, sure) = (table.radiance[CLIPS.0], table.radiance[CLIPS.1]);
-            // A response may be flat between the two code values, and 0 times infinity is not a number.
+            // The difference is 0 if the response is flat between the two code values. Its inverse must stay finite,
+            // because 0 times infinity is not a number.
             (sure, 1.0 / at_least(sure - begins, f32::MIN_POSITIVE))
         }
     };
@@ -375,17 +378,17 @@ fn layer<'a>(
     }
 }
 
-/// Shares and factors of a row of a frame, for each pixel.
+/// Factors on the weight and on the radiance of each pixel in a row of a frame.
 #[derive(Clone, Copy)]
 pub(super) struct Taken<'a> {
-    /// Share to which each pixel is used, 0..=1; 1 for pixels beyond the end of the slice.
+    /// Factor of the motion mask on the weight of each pixel, 0..=1; 1 for pixels beyond the end of the slice.
     pub kept: &'a [f32],
     /// Factor on the radiance of each pixel; 1 for pixels beyond the end of the slice.
     pub gain: &'a [f32],
 }
 
 impl<'a> Taken<'a> {
-    /// The pixels `part` of `kept` and `gain`, which may be empty.
+    /// Selects the pixels `part` of `kept` and `gain`, which may be empty.
     pub fn part(kept: &'a [f32], gain: &'a [f32], part: Range<usize>) -> Self {
         Taken { kept: kept.get(part.clone()).unwrap_or(&[]), gain: gain.get(part).unwrap_or(&[]) }
     }

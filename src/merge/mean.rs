@@ -9,18 +9,18 @@ use super::layer::{CLIPPED, COLUMNS, Fill, Layer, Meaning, PAINTED, Row, Taken, 
 use crate::simd::{at_least, at_most};
 
 /// Upper limit of e, the extra weight that the shortest and the longest exposure get, as a fraction of the weight of
-/// the frame's middle code value. It equals the hat weight of code value 1. If it were smaller, a shorter frame that
-/// noise lifts from black by one code value would outweigh the longest exposure. If it were larger, clipped code values
-/// would contribute too much.
+/// the frame's middle code value. It equals the hat weight of code value 1. If the limit were smaller, a shorter frame
+/// in which noise lifts a black pixel by one code value would outweigh the longest exposure. If it were larger, clipped
+/// code values would contribute too much.
 const DECIDE: f32 = 1.0 / 127.5;
-/// Smallest e, relative to the weight of the frame's middle code value: keeps the sum of weights above zero where the
-/// shortest exposure is black and the longest clipped.
+/// Smallest e, as a fraction of the weight of the frame's middle code value. It keeps the sum of weights above zero
+/// where the shortest exposure is black and the longest clipped.
 const LEAST: f32 = 1e-6;
 
-/// Code values of a frame's brightest channel: up to the first the frame is not clipped; from the second on it is
-/// clipped if a shorter frame shows more radiance than the frame can hold. JPEG lowers a clipped channel by some code
-/// values, and one channel of a saturated colour by many, but never all three by many. A frame far below white shows
-/// something else: an object that moved.
+/// Two code values of a frame's brightest channel. Up to the first, the frame is never treated as clipped. From the
+/// second on, it is clipped if a shorter frame shows more radiance than this frame can hold. JPEG lowers a clipped
+/// channel by some code values, and one channel of a saturated colour by many, but never all three by many. So if the
+/// brightest channel is far below white, the frame is not clipped but shows another object, which moved.
 const MAY_CLIP: (f32, f32) = (205.0, 235.0);
 
 /// A value for each channel and pixel of a row.
@@ -32,7 +32,7 @@ pub(super) struct Means {
     pub(super) weight: Channels,
     /// Lower bound of the radiance, from shorter exposures.
     bound: Channels,
-    /// e X / dt and e of the longest exposure so far.
+    /// The product e X / dt of the longest exposure so far; `longest_weight` is its e.
     longest_sum: Channels,
     pub(super) longest_weight: Channels,
     /// 1 where a frame was used.
@@ -47,11 +47,12 @@ pub(super) struct Means {
 /// The row of one frame, prepared for the mean.
 struct View {
     meanings: [[Meaning; COLUMNS]; 3],
-    /// Share to which the frame is used, 0..=1.
+    /// Factor of the motion mask on the frame's weight, 0..=1; 0 where the frame is not used.
     share: [f32; COLUMNS],
-    /// The share, times [`Layer::ringing`] beside clipped pixels, times v of the equation.
+    /// Product of `share`, of [`Layer::ringing`] at and beside clipped pixels, and of the factor v of the
+    /// [equation](super).
     v: [f32; COLUMNS],
-    /// Lower bound of u, from the brightest channel.
+    /// Lower bound of the factor u of the [equation](super), from the brightest channel.
     below_top: [f32; COLUMNS],
     /// 1 where this is the first frame that is used.
     is_first: [u32; COLUMNS],
@@ -144,7 +145,7 @@ impl Means {
             // include a clipped pixel.
             let below = at_most(at_least((MAY_CLIP.1 - top) * (1.0 / (MAY_CLIP.1 - MAY_CLIP.0)), 0.0), 1.0);
             below_top[x] = if is_beside { 0.0 } else { below };
-            // A frame that is used to less than half does not decide whether the pixel is clipped or black.
+            // A frame whose weight is reduced to less than half does not decide whether the pixel is clipped or black.
             let used = u32::from(t >= 0.5);
             let first = used & (self.is_seen[x] ^ 1);
             is_used[x] = used;
@@ -178,7 +179,8 @@ impl Means {
                 let e = if is_first[x] != 0 { e } else { 0.0 };
                 sum[x] = (sum[x] + w * radiance) + e * radiance;
                 weight[x] = (weight[x] + w) + e;
-                // Where this frame is clipped (u is 0), it does not decide what is dark, whatever its code value.
+                // The factor `unclipped` is u: a clipped frame (u = 0) does not determine dark pixels, whatever its
+                // code value.
                 let e = middle * unclipped * (DECIDE * (1.0 - code) + LEAST);
                 longest_sum[x] = if is_used[x] != 0 { e * radiance } else { longest_sum[x] };
                 longest_weight[x] = if is_used[x] != 0 { e } else { longest_weight[x] };
@@ -186,7 +188,7 @@ impl Means {
         }
     }
 
-    /// Writes the radiance of the row to `radiance`: [`FLOOR`] where no frame covers it.
+    /// Writes the radiance of the row to `radiance`: [`FLOOR`] for pixels that no frame covers.
     #[inline(always)]
     pub fn radiance(&self, radiance: &mut Channels) {
         for c in 0..3 {
@@ -297,8 +299,8 @@ mod tests {
             let seen = [0, 1, 2].map(|j| codes(j, i % SIZE.0, i / SIZE.0));
             for c in 0..3 {
                 let expected = textbook(&seen, &times, c);
-                // Rounding of a dozen operations on `f32`, which has 24 bits; u loses more, because it is a difference
-                // of nearly equal numbers.
+                // The tolerance allows for the rounding of a dozen operations on `f32`, which has 24 bits. The error of
+                // u is larger, because u is a difference of nearly equal numbers.
                 assert!((f64::from(pixel[c]) / expected - 1.0).abs() < 2e-4, "{i} {c}: {} for {expected}", pixel[c]);
             }
         }
@@ -306,8 +308,8 @@ mod tests {
 
     #[test]
     fn radiance_of_shorter_frames_clips_the_longer_whatever_its_code() {
-        // Code value 200 of a frame that is two stops shorter is more radiance than the longer frame can hold; JPEG has
-        // lowered the clipped code values of the longer frame.
+        // Code value 200 of a frame that is two stops shorter stands for more radiance than the longer frame can hold.
+        // JPEG has lowered the clipped code values of the longer frame.
         let pulled = |_: usize, _: usize| [235, 220, 240];
         let (bracket, alignment) = bracket(&[(-2.0, &|_, _| [200; 3]), (0.0, &pulled)]);
         let truth = 4.0 * ResponseCurve::srgb().exposures(0)[200];
@@ -343,8 +345,8 @@ mod tests {
         let (with, without) = (of(&[(-2.0, &paint), bare]), of(&[(-2.0, &|_, _| [40; 3]), bare]));
         let x = |code: usize| ResponseCurve::srgb().exposures(2)[code];
         for row in 0..SIZE.1 {
-            // In the painted columns 0 to 3 and in the next one only the reference is used; the other columns are as
-            // without paint.
+            // In the painted columns 0 to 3 and in column 4 beside them, only the reference is used. The other columns
+            // have the same radiance as without paint.
             for column in 0..=4 {
                 let found = with[row * SIZE.0 + column][2];
                 assert!((found / x(100) - 1.0).abs() < 1e-3, "{row} {column}: {found} for {}", x(100));

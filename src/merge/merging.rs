@@ -1,4 +1,5 @@
-//! Merges slab by slab; each slab tile by tile, and each tile row by row over the frames.
+//! Merges a bracket slab by slab, each slab tile by tile, and each tile row by row. All frames contribute to a row
+//! before the next row is merged.
 //!
 //! In: a bracket, its alignment, the response, and the motion masks. Out: [`Slab`]s of radiance, which together are the
 //! [`RadianceMap`]. Cost and equation are at the head of [`merge`](super).
@@ -108,8 +109,8 @@ impl<'a> Merging<'a> {
         [Fill::Clipped, Fill::Black].into_iter().filter(is_asked).collect()
     }
 
-    /// Returns the share, 0..=1, to which each pixel of layer `i` is used in `rows` of the region; empty if all pixels
-    /// are used fully. The motion mask is not applied to a frame with an assumed transform.
+    /// Returns the factor, 0..=1, of the motion mask on the weight of each pixel of layer `i` in `rows` of the region;
+    /// empty if all factors are 1. The motion mask is not applied to a frame with an assumed transform.
     pub(super) fn kept(&self, i: usize, rows: Range<usize>) -> Vec<f32> {
         let ghosts = self.ghosts.filter(|_| self.layers[i].fill.is_none());
         ghosts.map_or_else(Vec::new, |ghosts| ghosts.kept(i, rows))
@@ -220,7 +221,7 @@ impl<'a> Merging<'a> {
     }
 }
 
-/// Merges a bracket at once; see [`Merging::of`].
+/// Merges a bracket as one slab; see [`Merging::of`].
 ///
 /// # Errors
 /// Those of [`Merging::of`].

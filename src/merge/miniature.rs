@@ -36,7 +36,7 @@ impl Miniature {
     pub fn of(bracket: &Bracket, alignment: &Alignment, pixels: usize) -> Result<Option<Self>> {
         let Rect { x0, y0, x1, y1 } = alignment.overlap;
         let step = (((x1 - x0) * (y1 - y0)) as f64 / pixels as f64).sqrt().max(1.0);
-        // The centres of cells with a side of `step` pixels.
+        // Returns the centres of cells with a side of `step` pixels.
         let middles = |first: usize, end: usize| -> Vec<usize> {
             let cells = (((end - first) as f64 / step) as usize).max(1);
             (0..cells).map(|k| first + (end - first) * (2 * k + 1) / (2 * cells)).collect()
@@ -78,8 +78,8 @@ impl Miniature {
     }
 }
 
-/// Returns the difference of the radiance merged with `read` from that merged with `curve`, over all pixels of
-/// `miniatures`.
+/// Returns the root mean square difference, in stops, between the radiance merged with the response `read` and that
+/// merged with `curve`, over all pixels of `miniatures`.
 ///
 /// # Errors
 /// Those of [`merge`].
@@ -125,7 +125,7 @@ mod tests {
         let twice = ResponseCurve::new(twice).unwrap();
         let found = loss(&[&miniature, &miniature], &curve, &twice).unwrap();
         let all = [found.luminance_stops, found.channel_stops[0], found.channel_stops[1], found.channel_stops[2]];
-        // Radiance is `f32`, which has 24 bits.
+        // The tolerance allows for the rounding of radiance to the 24 bits of `f32`.
         assert!(all.iter().all(|stops| (stops - 1.0).abs() < 1e-5), "{found:?}");
         assert_eq!(loss(&[&miniature], &curve, &curve).unwrap().luminance_stops, 0.0);
     }

@@ -1,11 +1,13 @@
 //! Merging: radiance from aligned frames, their exposures and the response.
 //!
-//! In: a bracket, its alignment and the response. Out: a [`RadianceMap`] on the pixels of the reference frame, and a
-//! [`Merged`]. Cost: about 15 ns of one core for each pixel of each frame, twice that in frames that moved. Source:
-//! Debevec & Malik 1997, "Recovering High Dynamic Range Radiance Maps from Photographs", section 2.2.
+//! In: a bracket, its alignment and the response. Out: a [`RadianceMap`] on the pixels of the reference frame, and its
+//! statistics, [`Merged`]. Cost: about 15 ns of one core for each pixel of each frame, twice that in frames that are
+//! resampled. Source: Debevec & Malik 1997, "Recovering High Dynamic Range Radiance Maps from Photographs", section
+//! 2.2.
 //!
-//! The radiance of a pixel is the weighted mean over the frames j, for each channel. Z_j is the code value of frame j,
-//! g(Z) the logarithm of the exposure that gives code value Z, and dt_j the relative exposure of the frame:
+//! The radiance E of a pixel is the weighted mean over the frames j, for each channel. Z_j is the code value of frame
+//! j, g(Z) the logarithm of the exposure that gives code value Z, and dt_j the exposure of frame j divided by that of
+//! the reference frame:
 //!
 //! ```text
 //! E = sum_j w_j X_j / dt_j  /  sum_j w_j,        X = exp(g(Z)),
@@ -18,27 +20,28 @@
 //! - v depends on the brightest of the three channels: if this channel is nearly clipped, the colour processing of the
 //!   camera has changed the other two, so v reduces the weight of the frame in favour of frames without clipping.
 //!   Without v a clipped channel leaves a colour cast.
-//! - u compares the frames: frame j is clipped, whatever its code values, if a shorter frame shows more radiance than
-//!   frame j can hold, and the brightest channel of frame j is near white. JPEG ringing beside clipped pixels, and
+//! - u is 0 if frame j counts as clipped: a shorter frame shows more radiance than frame j can hold, and the brightest
+//!   channel of frame j is near white. Code values alone do not show clipping: JPEG ringing beside clipped pixels, and
 //!   noise, give a clipped pixel code values below white, which would darken the mean. With noise weights, u alone
 //!   gains 17 dB on rendered brackets.
-//! - r is 1/2 at and beside clipped pixels, otherwise 1: JPEG ringing, sharpening and resampling change what is beside
-//!   them.
-//! - For uniform weights v, u, r and the factor sqrt(dt) are 1.
-//! - e_j decides where no frame has weight: the shortest exposure where all are clipped, the longest where all are
-//!   black. It is a weight in the same mean, at most as large as the hat weight of one code value, and fades linearly
-//!   over the code values, so that there is no visible border.
-//! - Pixels with some channels at white and the others at 0, and the neighbours of such pixels, are not used in any
-//!   frame but the reference: no scene is like that, so they are painted, as in the borders of registered scans.
+//! - r is 1/2 for clipped pixels and their eight neighbours, otherwise 1: JPEG ringing, sharpening and resampling
+//!   change the neighbours.
+//! - For uniform weights v, u, r and the factor sqrt(dt) are 1. For noise weights, dt^2 divided by the variance of X
+//!   replaces sqrt(dt).
+//! - e_j is a small weight that matters only where no frame has another weight. It selects the shortest exposure where
+//!   all frames are clipped, and the longest where all are black. It is at most about the hat weight of code value 1,
+//!   and changes linearly with the code value, so that there is no visible border.
+//! - A pixel with some channels at white and the others at 0 does not show a scene: it is painted, as in the borders of
+//!   registered scans. Such pixels and their neighbours are not used, except in the reference frame.
 //! - A frame with an [assumed](crate::align::Placement::Assumed) transform is not among the frames j: it fills what is
 //!   clipped, or black, in all frames j (`fill`).
-//! - In locally processed frames, X_j / dt_j and the radiances that u compares are multiplied by the local
-//!   [gain](local).
+//! - In locally processed frames (those of phones with local tone mapping), X_j / dt_j and the radiances that u
+//!   compares are multiplied by the local [gain](local).
 //!
-//! **Units.** dt is the frame's relative exposure divided by that of the reference, and the mean of g(128) over the
-//! channels is 0: radiance 1 gives the reference frame its middle code value. The values of a well-exposed reference
-//! frame are about 0.001 to 5, so the range of any bracket fits into half floats (6e-8 to 65504). Divide by
-//! [`Merged::reference_exposure`] to compare brackets of different exposures, or normalise them.
+//! **Units.** dt of the reference frame is 1, and the mean of g(128) over the channels is 0: radiance 1 gives the
+//! reference frame its middle code value. A well-exposed reference frame shows radiances of about 0.001 to 5, so the
+//! range of any bracket fits into half floats (6e-8 to 65504). To compare brackets of different exposures, divide the
+//! radiance by [`Merged::reference_exposure`], or normalise it (`radiance::normalisation`).
 
 pub mod deghost;
 mod fill;
@@ -68,7 +71,7 @@ use radiance::statistics::Statistics;
 use serde::Serialize;
 use weight::Weight;
 
-/// Lower limit of radiance, so that no value is 0: less than any real response and exposure give.
+/// Lower limit of radiance, so that no value is 0. It is below the radiance that any real response and exposure give.
 pub const FLOOR: f32 = 1e-12;
 
 /// Linear radiance.
@@ -85,8 +88,8 @@ pub struct RadianceMap {
 pub struct MergeOptions {
     /// The weighting function.
     pub weight: Weight,
-    /// The part of the reference frame to merge: its [overlap](crate::align::Alignment::overlap) with the others, or
-    /// all of it.
+    /// The part of the reference frame to merge: its [overlap](crate::align::Alignment::overlap) with the other frames,
+    /// or all of it.
     pub region: Rect,
 }
 
@@ -107,8 +110,8 @@ pub struct Merged {
 }
 
 impl Merged {
-    /// Returns the report; `radiance` and `limits` are in their final unit and colours. Relative radiance refers to
-    /// `unit_exposure`, or else to the exposure of the reference frame.
+    /// Returns the report; `radiance` and `limits` are in their final unit and colours. `unit_exposure` is the exposure
+    /// at which a relative radiance of 1 gives the middle code value; if `None`, it is that of the reference frame.
     pub fn report(self, radiance: Statistics, limits: Option<Limits>, unit_exposure: Option<f64>) -> MergeReport {
         let Merged { frames, all_clipped, all_black, reference_exposure } = self;
         let is_relative = radiance.unit == Unit::Relative;
@@ -177,14 +180,14 @@ mod tests {
             let scale = f64::from(ResponseCurve::srgb().exposure(0, 255.0));
             for x in 0..240 {
                 let (found, truth) = (f64::from(map.pixels.at(x, 69)[1]) / scale, ramp(x, 0)[1]);
-                // Above 8 the shortest exposure clips. Below 0.001 the longest has code values below 22, where rounding
-                // by half a code value is already an error of 3 %.
+                // The shortest exposure clips radiances above 8. The longest exposure shows radiances below 0.001 with
+                // code values below 22, where rounding by half a code value is already an error of 3 %.
                 if (0.001..7.5).contains(&truth) {
                     assert!((found / truth - 1.0).abs() < 0.05, "{weight:?} {x}: {found} for {truth}");
                 }
             }
-            // The radiance rises along the row, where one frame has all the weight as well as where frames are
-            // averaged, except for the rounding of code values.
+            // The merged radiance rises along the row, both where one frame has all the weight and where frames are
+            // averaged. The tolerance of 3 % is for the rounding of code values.
             assert!((1..240).all(|x| map.pixels.at(x, 0)[0] >= 0.97 * map.pixels.at(x - 1, 0)[0]), "{weight:?}");
             assert_eq!((report.all_clipped, report.all_black), (0, 0));
         }
@@ -197,8 +200,9 @@ mod tests {
         assert_eq!((report.all_clipped, report.all_black), (12, 12));
         let (bright, dark) = (map.pixels.at(0, 0), map.pixels.at(7, 0));
         let curve = ResponseCurve::srgb();
-        // The reference is the longer frame: code value 255 of the shorter frame is four times as much radiance.
-        // `mean::LEAST` gives the longer frame a share of 1e-4.
+        // The reference is the longer frame: code value 255 of the shorter frame stands for four times the radiance of
+        // code value 255 of the reference. In the black half, `mean::LEAST` gives the shorter frame a share of less
+        // than 1e-4.
         assert!((bright[0] / (4.0 * curve.exposure(0, 255.0)) - 1.0).abs() < 1e-3);
         assert!(bright[0] == bright[1] && bright[1] == bright[2] && dark[0] > 0.0);
         assert!((dark[0] / curve.exposure(0, 0.0) - 1.0).abs() < 1e-3);
@@ -226,13 +230,14 @@ mod tests {
     fn moved_frames_and_rejected_ones() {
         let (bracket, mut alignment) = still((40, 30), &[0.5, 1.0, 2.0], |x, y| [0.05 + 0.003 * (x + y) as f64; 3]);
         let (exact, _) = run(&bracket, &alignment, Weight::Hat);
-        // A shift by 0 pixels: the frame is read through interpolated tables, which must give what the exact ones do.
+        // With a shift by 0 pixels, the code values are looked up by interpolation. This must give the same radiance as
+        // the exact look-up.
         alignment.placements[0] = Placement::by_user(Transform::Rigid { dx: 0.0, dy: 0.0, angle: 0.0 });
         let (moved, _) = run(&bracket, &alignment, Weight::Hat);
         for (a, b) in exact.pixels.as_slice().iter().zip(moved.pixels.as_slice()) {
             assert!((a[0] / b[0] - 1.0).abs() < 1e-4);
         }
-        // A frame that is moved out of the picture counts as rejected.
+        // A frame that is moved out of the picture has no effect, as if it were rejected.
         alignment.placements[0] = Placement::by_user(Transform::Rigid { dx: 1000.0, dy: 0.0, angle: 0.0 });
         let (outside, _) = run(&bracket, &alignment, Weight::Hat);
         alignment.placements[0] = Placement::excluded(RejectedBy::User, "a reason".into());

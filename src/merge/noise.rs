@@ -2,8 +2,8 @@
 //!
 //! In: a frame. Out: the standard deviation for each channel and step of brightness, and from it the variance of the
 //! exposure of a code value. Cost: at most 16,384 blocks of 8x8 pixels are read, whatever the size: about 5 ms per
-//! frame. Source: noise as a function of brightness, as the lower envelope over the flat parts of one picture: Liu,
-//! Freeman, Szeliski & Kang 2006, "Noise Estimation from a Single Image". The mixed difference that cancels slopes is
+//! frame. Source: Liu, Freeman, Szeliski & Kang 2006, "Noise Estimation from a Single Image", where noise as a function
+//! of brightness is the lower envelope over the flat parts of one picture. The mixed difference that cancels slopes is
 //! Immerkaer's (1996).
 //!
 //! Each block gives its mean, and the mean square of z(x, y) - z(x+1, y) - z(x, y+1) + z(x+1, y+1), a quarter of which
@@ -29,7 +29,8 @@ const QUANTILE: f64 = 0.25;
 /// Smallest standard deviation of a code value: 0.29 from rounding, and most of the rest from the rounding of JPEG
 /// coefficients.
 const LEAST: f64 = 1.0;
-/// Relative error of response and exposure: of a frame that did not move, and of one that was interpolated.
+/// Relative error of response and exposure: the first for a frame that did not move, the second for one that was
+/// interpolated.
 const ERROR: (f64, f64) = (0.02, 0.05);
 
 /// The noise of one frame.
@@ -87,7 +88,7 @@ impl Noise {
     }
 }
 
-/// Measures the variance of the code values of `frame`; the standard deviation is at least `least`.
+/// Measures the variance of the code values of `frame`. `least` is the lower limit of the standard deviation.
 fn shown(frame: &Frame, least: f64) -> Result<[[f64; STEPS]; 3]> {
     Ok(match frame.whole()?.codes() {
         Codes::Eight(codes) => measure(codes, frame.width(), 1.0, least),
@@ -178,7 +179,7 @@ mod tests {
         let (width, height) = (512, 256);
         let codes = (0..width * height * 3).map(|i| {
             let code = 20.0 + 210.0 * (i / 3 % width) as f64 / width as f64;
-            // Twelve uniform numbers give a normal one of variance 1.
+            // The sum of twelve uniform numbers is nearly normal, with variance 1.
             let normal: f64 = (0..12).map(|k| random(12 * i as u64 + k)).sum();
             (code + sigma(code) * normal + 0.5) as u8
         });

@@ -1,4 +1,4 @@
-//! Rows of a tile over all frames: merged to radiance, or their weights for the report.
+//! Rows of a tile: merges all frames to radiance, or computes their weights for the report.
 //!
 //! In: the row of each frame, by rising exposure, with weights and factors. Out: the radiance of the row, or the weight
 //! of each frame. Cost: that of the [mean](super::mean).
@@ -34,14 +34,15 @@ impl Loops for MergedRow<'_, '_> {
 
 /// Computes the weight of each frame in the first row of a tile, for the report.
 pub(super) struct WeighedRow<'a, 'b> {
-    /// The frames that are weighed: those that fill this, or, if it is `None`, those with known transforms.
+    /// The kind of frames whose weights are computed: those that fill these pixels, or, if `None`, those with known
+    /// transforms.
     pub fill: Option<Fill>,
     pub layers: &'a [Layer<'b>],
     pub tiles: &'a [Tile],
-    /// For each frame the share and the factor of each pixel.
+    /// For each frame, the motion-mask factor on the weight and the gain on the radiance of each pixel.
     pub taken: &'a [Taken<'a>],
     pub means: &'a mut Means,
-    /// For each frame and pixel the sum of the weights of the channels, including e.
+    /// For each frame and pixel, the sum of the weights of the channels, including the extra weight e.
     pub weights: &'a mut [[f32; COLUMNS]],
 }
 
@@ -51,8 +52,8 @@ impl Loops for WeighedRow<'_, '_> {
     #[inline(always)]
     fn run(self) {
         self.means.clear();
-        // At each pixel the last frame that is used decides what is dark: the index of that frame, and its extra weight
-        // e.
+        // At each pixel, the last frame that is used determines the radiance if all frames are black. `last` is the
+        // index of that frame, `decides` its extra weight e.
         let (mut last, mut decides) = ([None; COLUMNS], [0.0; COLUMNS]);
         for (i, ((layer, tile), taken)) in self.layers.iter().zip(self.tiles).zip(self.taken).enumerate() {
             let Some(row) = tile.row(0).filter(|_| layer.fill == self.fill) else { continue };

@@ -1,8 +1,8 @@
 //! Contribution of each frame to the result, pixel by pixel.
 //!
 //! In: a [`Merging`]. Out: for each merged frame its share of the sum of all weights, on a grid of cells. Cost: that of
-//! merging one row of each cell. The shares are the weights of the merge itself: the increase of the sum of weights as
-//! each frame is added.
+//! merging one row of each cell. The weights are those of the merge itself: a frame's weight is the increase of the sum
+//! of weights as the frame is added.
 
 use super::fill::{FilledRow, Filling};
 use super::layer::{COLUMNS, Taken, Tile};

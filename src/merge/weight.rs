@@ -1,17 +1,21 @@
 //! Weighting functions over the code values.
 //!
 //! In: a response, and for [`Weight::Noise`] the noise of a frame. Out: a table with a weight for each code value of a
-//! channel. Cost: negligible. Source: the hat is Debevec & Malik 1997, equation 4; the Gaussian is Robertson, Borman &
-//! Stevenson 2003, section III, shifted and scaled so that it is 0 at both ends; the plateau is that of hdrgen by Ward,
-//! 1 minus the 12th power of 2 z / 255 - 1; the certainty is Mann & Picard 1995, "On being undigital with digital
-//! cameras", section 3; inverse variances as weights are Gauss' least squares, for cameras as in Granados et al. 2010,
-//! "Optimal HDR reconstruction with linear digital cameras".
+//! channel. Cost: negligible. Sources:
+//!
+//! - The hat is Debevec & Malik 1997, equation 4.
+//! - The Gaussian is Robertson, Borman & Stevenson 2003, section III, shifted and scaled so that it is 0 at both ends.
+//! - The plateau is that of hdrgen by Ward, 1 minus the 12th power of 2 z / 255 - 1 for code value z.
+//! - The certainty ([`Weight::MannPicard`]) is section 3 of Mann & Picard 1995, "On being undigital with digital
+//!   cameras".
+//! - Inverse variances as weights ([`Weight::Noise`]) are Gauss' least squares, for cameras as in Granados et al. 2010,
+//!   "Optimal HDR reconstruction with linear digital cameras".
 
 use super::noise::Noise;
 use crate::response::{CODES, MID, ResponseCurve, hat};
 
-/// Number of code values above black over which [`Weight::Noise`] rises from 0, and below white over which it falls to
-/// 0: there, clipping changes the values, which the variance does not show.
+/// Two numbers of code values: [`Weight::Noise`] rises from 0 over the first number above black, and falls to 0 over
+/// the second number below white. In both ranges clipping changes the code values, and the variance does not show that.
 const FADES: (f64, f64) = (8.0, 40.0);
 /// Number of code values to either side over which the slope of a response is computed.
 const REACH: usize = 4;
@@ -40,9 +44,9 @@ pub enum Weight {
 }
 
 impl Weight {
-    /// Returns the weight, 0..=1, of the code value `code` on the scale 0..=255, for a response `g` that is black up to
-    /// `black`. For [`Weight::Noise`] the result is only the fading near black and white. The functions are stretched
-    /// over the code values above black.
+    /// Returns the weight, 0..=1, of the code value `code` on the scale 0..=255. `g` is the logarithm of the exposure
+    /// of each code value; code values up to `black` are black. For [`Weight::Noise`] the result is only the fading
+    /// near black and white. The functions are stretched over the code values above black.
     fn at(self, code: usize, g: &[f64; CODES], black: f64) -> f64 {
         let above = (code as f64 - black).max(0.0);
         let stretched = above * 255.0 / (255.0 - black);
@@ -83,8 +87,8 @@ impl Weight {
         })
     }
 
-    /// Returns the weight of the middle code value: the weight of the frame as a whole, which scales the extra weights
-    /// e.
+    /// Returns the weight of the middle code value. It stands for the weight of the whole frame: the extra weights e of
+    /// the [equation](super) are proportional to it.
     pub(super) fn middle_weight(self, curve: &ResponseCurve, time: f64, noise: &Noise) -> f32 {
         match self {
             Weight::Uniform => 1.0,
@@ -101,8 +105,8 @@ fn within(weight: f64) -> f64 {
     weight.clamp(1e-30, 1e30)
 }
 
-/// Returns the number of code values per neper of exposure around `code`: the inverse slope of g over [`REACH`] code
-/// values to either side, none of them below the code value `least`.
+/// Returns the number of code values per neper (factor e) of exposure around `code`: the inverse slope of g over
+/// [`REACH`] code values to either side. Code values below `least` are not used.
 fn certainty(g: &[f64; CODES], least: usize, code: usize) -> f64 {
     let (from, to) = (code.saturating_sub(REACH).max(least), (code + REACH).min(CODES - 1));
     (to - from) as f64 / (g[to] - g[from])
@@ -135,16 +139,16 @@ mod tests {
 
     #[test]
     fn the_certainty_is_the_slope_of_the_response() {
-        // A linear camera: dZ / d ln X = X, so the certainty is proportional to the code value.
+        // For a linear camera, dZ / d ln X = Z, so the certainty is proportional to the code value.
         let w = table(Weight::MannPicard, &ResponseCurve::linear());
         assert!((w[200] / w[100] - 2.0).abs() < 0.01, "{}", w[200] / w[100]);
-        // A logarithmic camera: the certainty is the same at every code value.
+        // For a logarithmic camera, the certainty is the same at every code value.
         let g = std::array::from_fn(|z| (z as f64 - 128.0) / 40.0);
         let w = table(Weight::MannPicard, &ResponseCurve::new([g; 3]).unwrap());
         assert!((1..255).all(|z| (w[z] - 1.0).abs() < 1e-6));
     }
 
-    /// A camera that is linear above a black of 55: dZ / d ln X = Z - 55.
+    /// The camera is linear above a black of 55: dZ / d ln X = Z - 55.
     #[test]
     fn the_certainty_with_a_black_level_is_the_slope_at_the_code_itself() {
         let g = std::array::from_fn(|z| libm::log((z as f64 - 55.0).max(1e-3 * (z + 1) as f64)));

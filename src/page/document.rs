@@ -72,7 +72,7 @@ fn details(page: &Page, report: &Report) -> String {
 /// Returns the names of the first and the last frame, without extensions, as the name of the bracket.
 fn bracket_name(report: &Report) -> String {
     let mut names: Vec<String> = report.frames.iter().map(|f| file_name(&f.path)).collect();
-    // Shorter names come first, so that 9 comes before 10.
+    // Shorter names come first, so that photograph 9 comes before photograph 10.
     names.sort_by_key(|name| (name.len(), name.clone()));
     let stem = |name: &String| name.rsplit_once('.').map_or_else(|| name.clone(), |(stem, _)| stem.to_owned());
     match (names.first(), names.last()) {

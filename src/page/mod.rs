@@ -1,9 +1,10 @@
 //! The HTML report of a bracket: one self-contained file without external scripts, styles or network access.
 //!
-//! In: the frames and their alignment; the rows of the picture as they are produced; at the end the [`Report`]. Out: HTML.
-//! Cost: that of an [inspection](crate::inspect), one resampling of every frame, and a second merge of some of the rows for
-//! the contributions; about 2 MB for any frame size. Source: the HTML standard (WHATWG); Content Security Policy Level 3
-//! (W3C), which the page declares so that a browser blocks code injected by a file name.
+//! In: the frames and their alignment; the rows of the picture as they are produced; at the end the [`Report`]. Out:
+//! HTML of about 2 MB for any frame size. Cost: an [inspection](crate::inspect), one resampling of every frame, and a
+//! second merge of some of the rows to compute the contributions of the frames. Source: the HTML standard (WHATWG);
+//! Content Security Policy Level 3 (W3C), which the page declares so that a browser blocks code injected by a file
+//! name.
 
 mod document;
 mod markup;
@@ -32,15 +33,15 @@ use pictures::overlays::{self, Local};
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Largest number of pixels of the result on the page; a smaller result keeps its size.
+/// Largest number of pixels of the result on the page. A smaller result keeps its size.
 const RESULT_PIXELS: usize = 3_000_000;
 /// Largest number of pixels of all frames on the page together.
 const FRAMES_PIXELS: usize = 4_500_000;
 /// Largest number of pixels of one frame on the page; smaller frames keep their size.
 const FRAME_PIXELS: usize = 1_500_000;
-/// Largest number of bytes of the result on the page; determines its JPEG quality.
+/// Largest number of bytes of the result on the page. The JPEG quality is chosen accordingly.
 const RESULT_BYTES: usize = 620_000;
-/// Largest number of bytes of all frames on the page together; determines their JPEG quality.
+/// Largest number of bytes of all frames on the page together. The JPEG quality is chosen accordingly.
 const FRAMES_BYTES: usize = 720_000;
 /// Largest long side of a drawing, in pixels.
 const DRAWING: usize = 480;
@@ -51,11 +52,12 @@ const FINE: u8 = 82;
 /// JPEG quality of small grey pictures and maps.
 const COARSE: u8 = 74;
 
-/// The colours of the frames from the shortest exposure to the longest: from violet to yellow, of rising lightness.
+/// The colours of the frames, from that of the shortest exposure to that of the longest: from violet to yellow, with
+/// rising lightness.
 const SCALE: [[f64; 3]; 5] =
     [[116.0, 92.0, 176.0], [58.0, 116.0, 186.0], [32.0, 152.0, 150.0], [112.0, 190.0, 92.0], [240.0, 198.0, 52.0]];
 
-/// The data of a page while a run collects it.
+/// The data of a page, collected during a run.
 #[derive(Debug, Clone, Default)]
 pub struct Page {
     path: PathBuf,
@@ -79,7 +81,7 @@ pub struct Page {
 /// The pictures and measurements of one frame that are not in its report.
 #[derive(Debug, Clone)]
 struct FramePage {
-    /// The frame, cropped and aligned like the result; not aligned if the frame has no transform.
+    /// The frame, cropped and aligned like the result. A frame without a transform is not aligned.
     photograph: Picture,
     evidence: Evidence,
     /// Contribution of the frame to the result, 0..=1, and the map of the contribution.
@@ -182,7 +184,7 @@ impl Page {
         self.result.get_or_insert_with(|| Reduced::new(size, within_pixels(size, RESULT_PIXELS))).push(rows);
     }
 
-    /// Returns the HTML of the page, with the data of `report`.
+    /// Returns the HTML of the page, including the data of `report`.
     ///
     /// # Errors
     /// [`Error::Write`] if the picture cannot be encoded.
@@ -198,7 +200,7 @@ impl Page {
     }
 }
 
-/// Returns the frames aligned, cropped to `region` of the reference and reduced, with their profiles; frames without a
+/// Returns the frames with their profiles: aligned, cropped to `region` of the reference, and reduced. Frames without a
 /// transform are not aligned.
 fn photographs(bracket: &Bracket, alignment: &Alignment, region: Rect) -> Result<Vec<Photograph>> {
     let most = (FRAMES_PIXELS / bracket.frames().len().max(1)).min(FRAME_PIXELS);
@@ -215,7 +217,7 @@ fn icc(frame: &Frame) -> Option<Vec<u8>> {
     frame.profile.as_ref().map(|profile| profile.icc.clone())
 }
 
-/// Returns the colour of frame `i` of `count`, counted from the shortest exposure.
+/// Returns the colour of frame `i` of `count` frames, which are counted from the shortest exposure.
 fn frame_colour(i: usize, count: usize) -> Colour {
     Colour::between(&SCALE, if count > 1 { i as f64 / (count - 1) as f64 } else { 0.5 })
 }
@@ -253,7 +255,7 @@ mod tests {
         assert_eq!(frame_colour(2, 5), frame_colour(0, 1));
         let share = |frame: usize, v: f32| Share { frame, cells: Plane::filled(2, 1, v) };
         assert_eq!(mixed(&[share(0, 0.0), share(1, 1.0)], 2).at(1, 0), [240, 198, 52]);
-        // The mean of the first and the last colour: (116 + 240) / 2, (92 + 198) / 2, (176 + 52) / 2.
+        // The mean of the first and the last colour is ((116 + 240) / 2, (92 + 198) / 2, (176 + 52) / 2).
         assert_eq!(mixed(&[share(0, 0.5), share(1, 0.5)], 2).at(0, 0), [178, 145, 114]);
     }
 }

@@ -58,8 +58,8 @@ const scale = () => canvas.clientWidth * devicePixelRatio / viewer.dataset.width
 // Returns the zoom of a click: 100 %, or 200 % if the fitted picture is nearly at 100 % already.
 const closer = () => scale() < 0.8 ? 1 : 2;
 
-// Sets the zoom (0 fits the picture) and moves the point `place` of the picture (x and y from 0 to 1) to the middle; by
-// default the point that is in the middle already.
+// Sets the zoom (0 fits the picture) and moves the point `place` of the picture (x and y from 0 to 1) to the middle of
+// the stage. By default, the point that is in the middle stays there.
 const zoom = (value, place) => {
   const box = canvas.getBoundingClientRect();
   const outer = stage.getBoundingClientRect();
@@ -103,8 +103,8 @@ viewer.addEventListener("keydown", (event) => {
 for (const radio of radios("shown")) radio.addEventListener("change", show);
 for (const radio of radios("zoom")) radio.addEventListener("change", () => zoom(Number(radio.value)));
 
-// Dragging with a mouse scrolls, as the browser does for a finger. A click without dragging zooms in at that point, or
-// back out.
+// Dragging with a mouse scrolls the stage, as the browser does for a finger. A click without dragging zooms in at the
+// point of the click, or zooms back out.
 let drag = null;
 stage.addEventListener("pointerdown", (event) => {
   drag = { x: event.clientX, y: event.clientY, left: stage.scrollLeft, top: stage.scrollTop, moved: false };
@@ -123,7 +123,7 @@ stage.addEventListener("click", (event) => {
   zoom(stage.classList.contains("zoomed") ? 0 : closer(), place);
 });
 
-// The buttons of places where something moved zoom in there and switch the overlay on.
+// Each button of a place where something moved zooms in at this place and switches the overlay of movement on.
 for (const button of viewer.querySelectorAll(".places button")) {
   button.addEventListener("click", () => {
     viewer.querySelector("input[name=movement]").checked = true;

@@ -1,10 +1,10 @@
-//! A camera's response from one or several brackets: load, align and correct each, pool their samples, save the curve
-//! and draw it.
+//! A camera's response from one or several brackets: load and align each bracket, correct its exposures, pool the
+//! samples of all brackets, recover the curve, save and draw it.
 //!
 //! In: brackets, or folders of photographs, and [`Options`]. Out: response files, plots, and a [`CameraReport`]. Cost:
-//! loading and aligning each bracket, one after the other; of each, only samples of flat places are kept. Source:
-//! pooling as in `response::recover_from`: the response is the same in all brackets of a camera, and together they show
-//! more codes.
+//! loading and aligning each bracket, one after the other. Of each bracket, only samples of flat (evenly bright)
+//! places are kept. Source: the samples are pooled as in `response::recover_from`, because all brackets of a camera
+//! have the same response, and together they contain more code values than one bracket.
 
 mod bracket_samples;
 mod folders;
@@ -28,10 +28,10 @@ use std::time::Instant;
 /// The version of the report's format: keys may be added, but are never removed.
 pub const SCHEMA: &str = "hdralign-response-report/1";
 
-/// Largest number of patches that are kept of all brackets together, with an equal share for each bracket. A patch
-/// takes 72 bytes.
+/// Largest number of patches (one place of the scene in one frame) that are kept of all brackets together. Each
+/// bracket has an equal share. A patch takes 72 bytes.
 pub const PATCHES: usize = 500_000;
-/// Number of places per channel in a plot.
+/// Number of places of the scene per channel in a plot.
 const DRAWN: usize = 600;
 
 /// Options of a calibration.
@@ -84,7 +84,7 @@ pub struct BracketReport {
 impl CameraReport {
     /// Returns the report as JSON with a final line feed.
     pub fn to_json(&self) -> String {
-        // Only strings, numbers and lists of them: conversion cannot fail.
+        // The report contains only strings, numbers and lists of them, so the conversion cannot fail.
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }
 
@@ -96,7 +96,7 @@ impl CameraReport {
 
 impl Options {
     /// Returns every file that a run on `images` writes. If no file is given for the curve, a placeholder stands for
-    /// the file named after the camera.
+    /// the file that will be named after the camera.
     pub fn targets(&self, images: &[PathBuf]) -> Vec<Target> {
         let mut named = self.named();
         let is_beside = |image: &PathBuf| if image.is_dir() { image.join("response.json") } else { image.clone() };
@@ -106,7 +106,7 @@ impl Options {
         named
     }
 
-    /// Returns the files that are given.
+    /// Returns the files that the user named.
     fn named(&self) -> Vec<Target> {
         [Target::of("-o", &self.curves), Target::of("--plot", &self.plots)].concat()
     }
@@ -180,7 +180,7 @@ pub fn prepare(brackets: &[Vec<PathBuf>], options: &Options, watch: Watch) -> Re
     })
 }
 
-/// Checks that options which apply to the frames of one bracket are not given with several.
+/// Checks that options which apply to the frames of one bracket are not given for several brackets.
 fn check_options(brackets: &[Vec<PathBuf>], options: &Options) -> Result<()> {
     let single = |option, reason: &str| Err(Error::Option { option, reason: reason.to_owned() });
     if brackets.len() > 1 && options.pipeline.load.ev.is_some() {

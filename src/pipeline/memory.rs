@@ -13,7 +13,7 @@ use crate::error::{Error, Result};
 /// Aligns, calibrates, merges and tone-maps `bracket`.
 ///
 /// `options.load` and all options that name a file must have their defaults. The work is done on the caller's rayon
-/// pool, or on one with [`threads`](Options::threads) threads.
+/// pool or, if [`threads`](Options::threads) is given, on a pool with that number of threads.
 ///
 /// # Errors
 /// [`Error::Option`] for options that are out of range or need files; [`Error::Cancelled`]; [`Error::NothingAligned`]

@@ -40,7 +40,7 @@ pub(super) fn of_merge(
     }
 }
 
-/// Returns all options for a run that `merges`; for a run that only aligns, those of the alignment.
+/// Returns the report's section on options: all options if the run `merges`, otherwise only those of the alignment.
 fn options_report(options: &Options, merges: bool) -> OptionsReport {
     let file = options.response_file.as_ref().filter(|_| merges);
     OptionsReport {

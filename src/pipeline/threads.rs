@@ -8,7 +8,8 @@ use crate::error::{Error, Result};
 /// Maximum number of threads; more only cost memory.
 const MOST_THREADS: usize = 1024;
 
-/// Runs `work` on a pool of `threads` threads; without a number, on the global pool, which is started if necessary.
+/// Runs `work` on a pool of `threads` threads. If `threads` is `None`, runs it on the global pool, which is started if
+/// necessary.
 pub(super) fn in_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> Result<R> + Send) -> Result<R> {
     if threads.is_none() {
         start_threads()?;
@@ -16,7 +17,7 @@ pub(super) fn in_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> Re
     in_own_pool(threads, work)
 }
 
-/// Runs `work` on a pool of `threads` threads; without a number, on the pool of the caller.
+/// Runs `work` on a pool of `threads` threads. If `threads` is `None`, runs it on the pool of the caller.
 pub(super) fn in_own_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> Result<R> + Send) -> Result<R> {
     let Some(threads) = threads else { return work() };
     let refused = |reason: String| Error::Option { option: "--threads", reason };

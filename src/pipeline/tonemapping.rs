@@ -47,9 +47,9 @@ impl TonemapOptions {
     }
 }
 
-/// Tone-maps the radiance map `input` and writes the requested files. For a map that `merge` wrote as floats, the
-/// picture has the same pixels as the one that `merge` wrote beside it; its EXIF has only what the header of the map
-/// contains.
+/// Tone-maps the radiance map `input` and writes the requested files. If `merge` wrote the map as floats, the picture
+/// has the same pixels as the picture that `merge` wrote beside the map. Its EXIF data contain only what the header of
+/// the map contains.
 ///
 /// # Errors
 /// Those of [`read::read_within`] and of writing; [`Error::Option`] if the allowed memory is not enough. On an error
@@ -107,7 +107,7 @@ fn tonemapped(
     report.time_s.tonemap = Some(since.elapsed().as_secs_f64());
     announce(watch, Stage::Write)?;
     let since = Instant::now();
-    // Headers name the program that writes the file, which is this one.
+    // Headers name the program that writes the file: hdralign, even if another program wrote the input.
     let metadata = write::Metadata { software: write::Metadata::default().software, ..metadata };
     warnings.extend(options.write.picture.size.warning(size));
     let results = Results {

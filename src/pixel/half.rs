@@ -1,8 +1,8 @@
-//! Half floats (16 bits); values beyond the largest are clamped to it instead of becoming infinite.
+//! Half floats (16 bits); values beyond the largest half float are clamped to it instead of becoming infinite.
 //!
 //! In: pixels. Out: planes of the nearest half floats, or of the low and high words of the floats. Cost: under 1 ns a
-//! value. Source: IEEE 754-2008, sections 3.6 and 4.3.1. The `half` crate rounds the same way, but overflows to
-//! infinity and loses small values to 0; the tests compare with it.
+//! value. Source: IEEE 754-2008, sections 3.6 and 4.3.1. The `half` crate rounds in the same way, but turns values
+//! beyond the largest half float into infinity, and small values into 0; the tests compare with it.
 
 use crate::simd::{Loops, vectorised};
 
@@ -49,7 +49,7 @@ impl Loops for Halves<'_> {
         let (b, rest) = self.planes.split_at_mut(size);
         let (g, r) = rest.split_at_mut(size);
         let mut beyond = 0;
-        // Parts of 1024 pixels stay in the cache, and counts of their values fit a u32.
+        // Parts of 1024 pixels stay in the cache, and the count of too large values in a part fits a u32.
         let parts = self.pixels.chunks(1024).zip(b.chunks_mut(1024)).zip(g.chunks_mut(1024)).zip(r.chunks_mut(1024));
         for (((pixels, b), g), r) in parts {
             let mut over = 0u32;
@@ -108,8 +108,8 @@ mod tests {
     use super::*;
     use ::exr::prelude::f16;
 
-    /// Compared with the `half` crate for every half float, every midpoint between two of them, and the floats next to
-    /// the midpoint.
+    /// The results are compared with the `half` crate for every half float, every midpoint between two of them, and
+    /// the floats next to the midpoint.
     #[test]
     fn halves_are_rounded_by_the_standard() {
         for h in 0..0x7bffu16 {

@@ -2,10 +2,10 @@
 //! coding of 32-bit pixels.
 //!
 //! In: XYZ with grey at X = Y = Z, or the bytes of a row. Out: the other of the two. Cost: 40 ns a pixel for the
-//! logarithm; decoding by table. Source: G. Ward Larson, "The LogLuv Encoding for Full Gamut, High Dynamic Range
-//! Images", JGT 3(1), 1998; libtiff's `tif_luv.c` and `uvcode.h` for details that the paper leaves open: truncation,
-//! byte order, and the squares of the 24-bit index. Unlike in libtiff nothing is dithered, so that the bytes are
-//! reproducible.
+//! logarithm of the encoder; the decoder computes a power of 2 instead. Source: G. Ward Larson, "The LogLuv Encoding
+//! for Full Gamut, High Dynamic Range Images", JGT 3(1), 1998; libtiff's `tif_luv.c` and `uvcode.h` for details that
+//! the paper leaves open: truncation, byte order, and the squares of the 24-bit index. Unlike in libtiff nothing is
+//! dithered, so that the bytes are reproducible.
 
 use std::sync::LazyLock;
 
@@ -123,13 +123,13 @@ impl Depth {
     }
 }
 
-/// Range of luminance of the 24-bit format; luminances below it are code 0, black.
+/// Range of luminance of the 24-bit format. Luminances below this range have code 0, black.
 const RANGE24: (f64, f64) = (0.0002468, 15.742);
 /// Range of luminance of the 32-bit format.
 const RANGE32: (f64, f64) = (5.436e-20, 1.8371976e19);
 
 /// Returns the code of a luminance: 0 below `range`, `largest` above it, and otherwise the number of steps from
-/// -`octaves` to its log2, with `steps` per octave.
+/// luminance 2^-`octaves` to this luminance, with `steps` per octave.
 fn logarithm(luminance: f64, range: (f64, f64), largest: u32, steps: f64, octaves: f64) -> u32 {
     match luminance {
         y if y >= range.1 => largest,

@@ -41,8 +41,8 @@ pub(crate) fn encode(rgb: [f32; 3]) -> (Rgbe, u32) {
     ([mantissa(r), mantissa(g), mantissa(b), exponent], over[0] + over[1] + over[2])
 }
 
-/// Decodes a pixel to the centre of the interval that [`encode`] truncates to it: (mantissa + 1/2) 2^(exponent - 128 -
-/// 8); 0 for exponent 0.
+/// Decodes a pixel to the centre of the interval that [`encode`] truncates to this pixel: (mantissa + 1/2) 2^(exponent
+/// byte - 136); 0 for exponent byte 0.
 pub(crate) fn decode([r, g, b, e]: Rgbe) -> [f32; 3] {
     if e == 0 {
         return [0.0; 3];
@@ -56,13 +56,13 @@ fn pow2(n: i32) -> f32 {
     if n >= -126 { f32::from_bits(((n + 127) as u32) << 23) } else { f32::from_bits(1 << (n + 149)) }
 }
 
-/// Widths that can be run-length encoded; other scanlines are written flat.
+/// Widths that can be run-length encoded; scanlines of other widths are written flat (uncompressed).
 pub(crate) const RLE_WIDTHS: std::ops::RangeInclusive<usize> = 8..=32767;
 
 /// Minimum number of equal bytes that are encoded as a run.
 const MIN_RUN: usize = 4;
 
-/// Encodes scanlines; holds the buffers.
+/// Encodes scanlines, and keeps the buffers for the next scanline.
 #[derive(Debug, Default)]
 pub(crate) struct Scanline {
     /// The bytes of a scanline by component: all of red, then of green, of blue, and the exponents.
@@ -72,10 +72,10 @@ pub(crate) struct Scanline {
 }
 
 impl Scanline {
-    /// Appends the scanline of `pixels`, by components and run-length encoded if the width allows it, flat otherwise.
-    /// Returns the number of values that were too large or NaN. A flat pixel cannot be confused with the start of an
-    /// encoded scanline, (2, 2, ..), or with a repetition, (1, 1, 1, n), because the largest mantissa of a pixel other
-    /// than black is at least 128.
+    /// Appends the scanline of `pixels`: by components and run-length encoded if the width allows it, otherwise flat
+    /// (uncompressed). Returns the number of values that were too large or NaN. A flat pixel cannot be confused with
+    /// the start of an encoded scanline, (2, 2, ..), or with a repetition, (1, 1, 1, n), because the largest mantissa
+    /// of a pixel other than black is at least 128.
     pub(crate) fn put(&mut self, pixels: &[[f32; 3]], out: &mut Vec<u8>) -> u64 {
         let width = pixels.len();
         self.components.resize(4 * width, 0);
@@ -126,7 +126,7 @@ impl Loops for Encode<'_> {
             for i in 0..LANES {
                 let ([r, g, b, e], count) = encode([channels[0][i], channels[1][i], channels[2][i]]);
                 (encoded[0][i], encoded[1][i], encoded[2][i], encoded[3][i]) = (r, g, b, e);
-                // Lanes after the last pixel are black.
+                // Lanes after the last pixel are black, so they do not add to the count.
                 beyond += count;
             }
             over += u64::from(beyond);
@@ -167,8 +167,8 @@ fn next_run(begins: &[u8], at: usize) -> Option<usize> {
     }
 }
 
-/// Encodes one component as `fwritecolrs` does: runs of n = 4 to 127 equal bytes as (128 + n, byte), the rest as (n, n
-/// bytes) with n up to 128.
+/// Encodes one component as `fwritecolrs` does: a run of n = 4 to 127 equal bytes as the count 128 + n and the byte,
+/// and n = 1 to 128 other bytes as the count n and the bytes.
 fn put_runs(bytes: &[u8], begins: &mut Vec<u8>, out: &mut Vec<u8>) {
     let len = bytes.len();
     begins.resize(len.saturating_sub(MIN_RUN - 1), 0);
@@ -180,7 +180,7 @@ fn put_runs(bytes: &[u8], begins: &mut Vec<u8>, out: &mut Vec<u8>) {
             Some(start) => (start, bytes[start..].iter().take(127).take_while(|&&b| b == bytes[start]).count()),
             None => (len, 0),
         };
-        // If only two or three bytes, all equal, come before that run, they are cheaper as a short run.
+        // If only two or three bytes, all equal, come before that run, they take less space as a short run.
         if (2..MIN_RUN).contains(&(start - at)) && bytes[at..start].iter().all(|&b| b == bytes[at]) {
             out.extend_from_slice(&[128 + (start - at) as u8, bytes[at]]);
             at = start;
@@ -196,8 +196,8 @@ fn put_runs(bytes: &[u8], begins: &mut Vec<u8>, out: &mut Vec<u8>) {
     }
 }
 
-/// Decodes the next scanline from the front of `bytes`, in the new or the old encoding, or flat. `None` when the
-/// scanline is damaged or truncated.
+/// Decodes the next scanline from the front of `bytes`: in the new or the old run-length encoding, or flat
+/// (uncompressed). `None` when the scanline is damaged or truncated.
 pub(crate) fn take_row(bytes: &mut &[u8], row: &mut [Rgbe]) -> Option<()> {
     let width = row.len();
     if let Some(&[2, 2, high, low]) = bytes.first_chunk::<4>()
@@ -232,8 +232,8 @@ fn take_components(bytes: &mut &[u8], row: &mut [Rgbe]) -> Option<()> {
     Some(())
 }
 
-/// Decodes flat pixels and the old repetitions, (1, 1, 1, n) for n more of the previous pixel; the counts of
-/// consecutive repetitions are digits to base 256, lowest first.
+/// Decodes uncompressed pixels and the repetitions of the old encoding: (1, 1, 1, n) repeats the previous pixel n
+/// times. The counts of consecutive repetitions are the digits of one number to base 256, lowest digit first.
 fn take_old(bytes: &mut &[u8], row: &mut [Rgbe]) -> Option<()> {
     let (mut at, mut shift) = (0, 0);
     while at < row.len() {
@@ -321,7 +321,7 @@ mod tests {
         }
     }
 
-    /// Complete rows, also of widths that do not fill the vector lanes.
+    /// The test encodes complete rows, also with widths that are not a multiple of [`LANES`].
     #[test]
     fn rows_are_their_pixels() {
         let mut scanline = Scanline::default();

@@ -1,8 +1,8 @@
 //! Gaussian and Laplacian pyramids of Burt & Adelson.
 //!
-//! In: planes of floats. Out: planes of half the size, rounded up, and back. Cost: 4 ns per pixel and level; all levels
-//! together have a third more pixels than the first. Source: Burt & Adelson, "The Laplacian Pyramid as a Compact Image
-//! Code" (1983), sections REDUCE and EXPAND, with a = 3/8.
+//! In: planes of floats. Out: planes of half the size, rounded up, and back. Cost: 4 ns per pixel and level; all
+//! levels together have a third more pixels than the first level. Source: Burt & Adelson, "The Laplacian Pyramid as a
+//! Compact Image Code" (1983), sections REDUCE and EXPAND, with a = 3/8.
 
 use crate::plane::Plane;
 
@@ -23,7 +23,7 @@ pub fn reduce(plane: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (plane.width(), plane.height());
     let (w, h) = (width.div_ceil(2), height.div_ceil(2));
     let mut coarse = Plane::filled(w, h, 0.0f32);
-    // Two more pixels at each end avoid a special case in the loop.
+    // The buffer has two extra pixels at each end, so that the loop needs no special case for the border.
     let mut column = vec![0.0f32; width + 4];
     for y in 0..h {
         let row = |d: isize| plane.row((2 * y as isize + d).clamp(0, height as isize - 1) as usize);
@@ -80,7 +80,8 @@ pub fn gaussian_pyramid(plane: Plane<f32>, levels: usize) -> Vec<Plane<f32>> {
     pyramid
 }
 
-/// The Laplacian pyramid of a Gaussian one: differences between levels, and the coarsest level.
+/// Converts a Gaussian pyramid to a Laplacian pyramid: each level minus the enlarged next coarser level. The coarsest
+/// level is unchanged.
 pub fn laplacian_pyramid(mut pyramid: Vec<Plane<f32>>) -> Vec<Plane<f32>> {
     for i in 1..pyramid.len() {
         let (finer, coarser) = pyramid.split_at_mut(i);
@@ -99,8 +100,8 @@ pub fn collapse(mut pyramid: Vec<Plane<f32>>) -> Plane<f32> {
     image
 }
 
-/// Changes every pixel of `level` by the pixel at the same position of the next `coarser` level, enlarged to the same
-/// size.
+/// Enlarges the next `coarser` level to the size of `level`. Then calls `change` with every pixel of `level` and the
+/// pixel at the same position of the enlarged level.
 fn combine(level: &mut Plane<f32>, coarser: &Plane<f32>, change: impl Fn(&mut f32, f32)) {
     let smooth = expand(coarser, (level.width(), level.height()));
     level.as_mut_slice().iter_mut().zip(smooth.as_slice()).for_each(|(v, &s)| change(v, s));
@@ -118,7 +119,7 @@ mod tests {
         })
     }
 
-    /// The tolerance is ten roundings of values below 32: 10 * 32 * 2^-24 = 2e-5.
+    /// The tolerance is ten roundings of f32 values below 32: 10 * 32 * 2^-24 = 2e-5.
     #[test]
     fn levels_are_the_double_sums_of_the_paper() {
         let weight = |d: isize| [0.0625, 0.25, 0.375, 0.25, 0.0625][(d + 2) as usize];
@@ -147,7 +148,7 @@ mod tests {
         }
     }
 
-    /// The tolerance is one rounding per level of values below 64.
+    /// The tolerance is one rounding of f32 values below 64 for each level.
     #[test]
     fn a_laplacian_pyramid_is_its_picture() {
         for (w, h) in [(100, 75), (33, 2), (1, 1)] {

@@ -1,17 +1,17 @@
-//! Maps by cells, which are squares of pixels: interpolation between their centres, and sums over neighbours.
+//! Maps with one value per cell, which is a square of pixels: interpolation between the centres of cells, and sums
+//! over neighbouring cells.
 //!
-//! In: a map with one value per cell. Out: its values at pixels, interpolated linearly between the centres of cells;
-//! sums around each cell. Cost: a few operations per pixel for the interpolation; 2 (2 reach + 1) per cell for the
-//! sums.
+//! In: a map. Out: its values at pixels, interpolated linearly between the centres of cells; sums around each cell.
+//! Cost: a few operations per pixel for the interpolation; 2 (2 reach + 1) additions per cell for the sums.
 
 use crate::plane::Plane;
 use std::ops::Range;
 
 /// Returns the indices of the two of `count` cells between whose centres `pixel` lies, and its position between these
-/// centres, 0..1.
+/// centres: 0 at the first centre, and below 1.
 ///
-/// Cells are `side` pixels long. Beyond the centre of the first or the last cell, the position is 0, and so that cell
-/// alone counts. If `side` is a power of 2, the position is exact, also as `f32`.
+/// Cells are `side` pixels long. Beyond the centre of the first or the last cell of the map, the position is 0, so
+/// that only this cell counts. If `side` is a power of 2, the position is exact, also as `f32`.
 #[inline]
 pub fn between_cells(pixel: usize, side: usize, count: usize) -> (usize, usize, f64) {
     let at = ((pixel as f64 + 0.5) / side as f64 - 0.5).clamp(0.0, (count - 1) as f64);
@@ -39,7 +39,8 @@ impl<const N: usize> Mix for [f32; N] {
     }
 }
 
-/// Interpolates row `y` of an image from `map`, whose cells have `side` x `side` pixels and the values `of(cell)`.
+/// Interpolates row `y` of an image from `map`. The cells of the map have `side` x `side` pixels, and `of` converts
+/// their entries to the values that are interpolated.
 ///
 /// The interpolation is linear [between cells](between_cells), first along the columns, then along the row.
 pub fn row_between_cells<S: Copy, T: Mix>(map: &Plane<S>, side: usize, of: impl Fn(S) -> T, y: usize, row: &mut [T]) {
@@ -52,10 +53,11 @@ pub fn row_between_cells<S: Copy, T: Mix>(map: &Plane<S>, side: usize, of: impl 
     }
 }
 
-/// For each position, combines with `add` the values within `reach` of it along both axes, first along the rows.
+/// Combines with `add`, for each position, the values at most `reach` away from it along each axis, first along the
+/// rows.
 ///
-/// If `add` is a sum, the results are sums over squares; if it is a logical or, whether any value nearby is true.
-/// Positions beyond the border are skipped.
+/// If `add` adds, the results are sums over squares. If `add` is a logical or, a result is true if any value in the
+/// square is true. Positions beyond the border are skipped.
 pub fn gathered<T: Copy + Default + Send + Sync>(
     plane: &Plane<T>,
     reach: usize,
@@ -99,7 +101,8 @@ mod tests {
     fn rows_between_cells_are_bilinear_and_scaled() {
         let map = Plane::from_vec(2, 2, vec![0u8, 8, 16, 40]);
         let mut row = [0.0f32; 4];
-        // Cells of 2 pixels: row 1 is at 1/4, pixels 1 and 2 are at 1/4 and 3/4.
+        // Cells are 2 pixels long. Between the centres of two cells, row 1 is at 1/4, and pixels 1 and 2 of the row are
+        // at 1/4 and 3/4.
         row_between_cells(&map, 2, |v| 0.5 * f32::from(v), 1, &mut row);
         let (left, right) = (0.5 * 4.0, 0.5 * 16.0);
         assert_eq!(row, [left, left + 0.25 * (right - left), left + 0.75 * (right - left), right]);

@@ -1,12 +1,12 @@
 //! OpenEXR files of any writer.
 //!
-//! In: a file. Out: the radiance of its first part with R, G and B, or otherwise with Y, and its metadata. Supported:
-//! half, float and integer samples; scan lines and tiles (the finest level); every compression of the `exr` crate
-//! (all except HTJ2K); one or several parts. If the data window is not the display window, the pixels of the data
-//! window are used. Alpha is dropped: colours are premultiplied, so the picture is shown over black. Other channels
-//! and parts are [listed](Contents::unread). Deep data and the subsampled chroma of luminance-chroma files are
-//! rejected. Cost: that of the crate's codecs; blocks are decompressed in parallel. Source: see
-//! [`crate::write::exr`].
+//! In: a file. Out: the radiance of the first part that has R, G and B or, if there is none, of the first part that
+//! has Y; and the metadata of this part. Supported: half, float and integer samples; scan lines and tiles (the finest
+//! level); every compression of the `exr` crate (all except HTJ2K); one or several parts. If the data window is not
+//! the display window, the pixels of the data window are used. Alpha is dropped: colours are premultiplied, so the
+//! picture is shown over black. Other channels and parts are [listed](Contents::unread). Deep data and the subsampled
+//! chroma of luminance-chroma files are rejected. Cost: that of the crate's codecs; blocks are decompressed in
+//! parallel. Source: see [`crate::write::exr`].
 
 use super::Contents;
 use crate::bracket::colour::Primaries;
@@ -98,7 +98,7 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
     Ok(contents)
 }
 
-/// Number of the last compression that the crate knows by name; includes those of DWAB and HTJ2K.
+/// Number of the last compression that the crate knows by name. The numbers up to it include DWAB and HTJ2K.
 const LAST_COMPRESSION: u8 = 11;
 
 /// Returns the number of the compression in the first header.
@@ -109,8 +109,8 @@ fn compression(bytes: &[u8]) -> Option<u8> {
     header.get(at + attribute.len()).copied()
 }
 
-/// Checks the headers of all parts, which are all read, against the length of the file and the limits, because the
-/// crate does not.
+/// Checks the headers against the length of the file and the limits, because the crate does not. The headers of all
+/// parts are checked, because all parts are read.
 fn check(meta: &MetaData, length: usize, limits: &Limits) -> Result<(), String> {
     let (mut needed, mut blocks, mut size) = (length as u64, 0, (0, 0));
     for header in &meta.headers {
@@ -121,8 +121,8 @@ fn check(meta: &MetaData, length: usize, limits: &Limits) -> Result<(), String> 
         let most = match header.compression {
             Compression::Uncompressed => 1,
             Compression::RLE => 64,
-            // PXR24 drops one byte of four; PIZ stores at best 255 repetitions of 2 bytes in 9 bits, a smaller factor
-            // than that of deflate.
+            // PXR24 drops one byte of four before it uses deflate. PIZ stores at best 255 repetitions of 2 bytes in 9
+            // bits: a factor of 453, which is smaller than that of deflate.
             Compression::ZIP1 | Compression::ZIP16 | Compression::PIZ => DEFLATE,
             Compression::PXR24 => DEFLATE * 4 / 3,
             _ => u64::MAX,
@@ -141,8 +141,8 @@ fn check(meta: &MetaData, length: usize, limits: &Limits) -> Result<(), String> 
 /// Number of blocks that are decompressed in parallel: enough to occupy any number of threads, with some MB of memory.
 const AT_ONCE: usize = 64;
 
-/// Reads the headers and the parts of the file. The crate's own loop decompresses in threads that no other thread
-/// joins, where a panic on a damaged block ends the process.
+/// Reads the headers and the parts of the file. The crate's own loop is not used: it decompresses in threads that no
+/// other thread joins, so that a panic on a damaged block would end the process.
 fn unpacked(bytes: &[u8]) -> ::exr::error::Result<(MetaData, Layers<AnyChannels<FlatSamples>>)> {
     let wanted = reader().no_deep_data().largest_resolution_level().all_channels().all_layers();
     let file = ::exr::block::read(Cursor::new(bytes), false)?;
@@ -287,7 +287,7 @@ mod tests {
         let mut bytes = bytes.into_inner();
         let name = b"compression\0compression\0";
         let at = bytes.windows(name.len()).position(|window| window == name).unwrap() + name.len() + 4;
-        // HTJ2K is known by name and not supported; ZSTD is not known.
+        // The crate knows HTJ2K by name, but does not support it; it does not know ZSTD.
         for code in [10, 11, 12, 13, 200] {
             bytes[at] = code;
             let reason = super::parse(&bytes, &crate::limits::Limits::default()).unwrap_err();

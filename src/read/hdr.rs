@@ -15,9 +15,10 @@ use crate::write::Metadata;
 use crate::write::hdr::WHITE_EFFICACY;
 
 /// Reads the picture in the `bytes` of a `.hdr` file as stored, and its [`exposure_scale`](Metadata::exposure_scale):
-/// the product of its EXPOSURE lines, times 179 for XYZE, which is converted to RGB of BT.2020. Divided by the scale,
-/// pixels are in W/sr/m2. RGBE without PRIMARIES is assumed to be BT.709, because nearly every writer except Radiance
-/// uses BT.709. Channels are divided by the product of the COLORCORR lines. Values may be 0, and negative in XYZE.
+/// the product of its EXPOSURE lines, and for XYZE also of 179. Pixels divided by this scale are in W/sr/m2. XYZE is
+/// converted to RGB of BT.2020. RGBE without PRIMARIES is assumed to be BT.709, because nearly every writer except
+/// Radiance uses BT.709. Channels are divided by the product of the COLORCORR lines. Values may be 0, and in XYZE also
+/// negative.
 ///
 /// # Errors
 /// The reason, for other formats, damaged or truncated files, and files that exceed `limits`.
@@ -39,7 +40,8 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
             metadata.comments.push(comment.to_owned());
             continue;
         }
-        // Lines that begin with a tab belong to the pictures from which this one was made.
+        // Lines that begin with a tab belong to the pictures from which this one was made. Their keys match none of
+        // the keys below.
         let Some((key, value)) = line.split_once('=') else {
             continue;
         };
@@ -86,7 +88,7 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
     if scan.lines.checked_mul(4).is_none_or(|least| least > rest.len()) || scan.length > 1 << 24 {
         return Err(format!("it is too short for {} lines of {} pixels; copy it again", scan.lines, scan.length));
     }
-    // Old run lengths can encode millions of pixels in a few bytes.
+    // Old run lengths can encode millions of pixels in a few bytes, so the limits are checked, too.
     limits.check_size(scan.length, scan.lines)?;
     let count = scan.length * scan.lines;
     limits.check_memory((scan.length, scan.lines), 12 * count as u64 + bytes.len() as u64)?;

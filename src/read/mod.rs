@@ -3,9 +3,9 @@
 //! In: an `.exr`, `.hdr` or floating-point `.tif`, recognised by content, not by name. Out: a [`RadianceMap`] as
 //! stored, and its [`Metadata`]; [`read_within`] also lists what else the file contains. Cost: see each format.
 //!
-//! [`read`] returns values as stored, except for the scale in a header: `.hdr` is divided by its EXPOSURE, LogLuv
-//! multiplied by its StoNits. Other programs write 0, negative numbers, infinities and NaN; [`repair()`] replaces
-//! them by values that the later stages accept, and counts them.
+//! [`read`] returns values as stored, except for the scale in a header: the values of `.hdr` are divided by its
+//! EXPOSURE, and those of LogLuv are multiplied by its StoNits. Other programs write 0, negative numbers, infinities
+//! and NaN; [`repair()`] replaces them by values that the later stages accept, and counts them.
 
 pub(crate) mod exr;
 pub(crate) mod hdr;

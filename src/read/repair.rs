@@ -41,7 +41,7 @@ impl Repaired {
 }
 
 /// Returns `map` with every value positive and finite, and the counts of the changes. Zeros become [`FLOOR`] without
-/// being counted. A map as merged is not changed.
+/// being counted. A map from the merge stage is not changed.
 pub fn repair(mut map: RadianceMap) -> (RadianceMap, Repaired) {
     let values = || map.pixels.as_slice().as_flattened().par_iter();
     let greatest = values().copied().filter(|v| v.is_finite()).reduce(|| FLOOR, f32::max);

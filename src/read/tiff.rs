@@ -22,7 +22,7 @@ use std::path::Path;
 use tiff::decoder::{Decoder, DecodingResult, Limits as Buffers};
 use tiff::tags::{IfdPointer, Tag};
 
-/// The tag for the luminance of a stored 1, in cd/m2 (StoNits is its name in libtiff).
+/// The tag for the luminance of the stored value 1, in cd/m2 (StoNits is its name in libtiff).
 const STONITS: Tag = Tag::Unknown(37439);
 const WHITE_POINT: Tag = Tag::Unknown(318);
 const CHROMATICITIES: Tag = Tag::Unknown(319);
@@ -77,8 +77,8 @@ pub fn parse(mut bytes: Vec<u8>, limits: &Limits) -> Parsed<Contents> {
     }
     let is_logluv = matches!(compression, 34676 | 34677);
     let unpacked = if is_logluv { 0 } else { pixels.saturating_mul(stored) };
-    // At best, rows of LogLuv are runs of 129 values in 2 bytes, for each of the 2 or 4 bytes of a pixel; so a byte of
-    // the file stands for at most 65 pixels.
+    // LogLuv encodes each of the 2 or 4 bytes of the pixels of a row separately, at best as runs of 129 values in 2
+    // bytes. So a byte of the file stands for at most 65 pixels.
     let least = if is_logluv { pixels / 65 } else { unpacked };
     limits::check_length(bytes.len(), least, if is_logluv { 1 } else { limits::tiff_packing(compression) })?;
     let needed = unpacked + pixels * (4 * samples + 12) + bytes.len() as u64;

@@ -33,7 +33,7 @@ pub enum Format {
 }
 
 impl Format {
-    /// Returns the format for the extension of `path`, in upper or lower case.
+    /// Returns the format for the extension of `path`, which may be in upper or lower case.
     ///
     /// # Errors
     /// [`Error::UnknownExtension`].
@@ -46,7 +46,7 @@ impl Format {
     }
 }
 
-/// The version of the format: keys may be added, but are never removed.
+/// The version of the format. In one version keys may be added, but are never removed.
 pub const SCHEMA: &str = "hdralign-report/1";
 
 /// The report of a run.
@@ -64,11 +64,11 @@ pub struct Report {
     pub options: Option<OptionsReport>,
     /// The frame that the others are aligned to.
     pub reference: String,
-    /// The frames by rising exposure.
+    /// The frames in order of rising exposure.
     pub frames: Vec<FrameReport>,
     /// File that the transforms were read from, if any.
     pub transforms_from: Option<String>,
-    /// The part of the reference that the results show.
+    /// The part of the reference frame that the results show.
     pub crop: Crop,
     /// The response that was used; null if the frames were only aligned.
     pub response: Option<ResponseReport>,
@@ -80,8 +80,8 @@ pub struct Report {
     pub calibration: Option<CalibrationReport>,
     /// Primaries of the radiance map; null if the frames were only aligned.
     pub colour: Option<ColourReport>,
-    /// The light that the picture shows as white; null if it is the light of the photographs, or if the frames were
-    /// only aligned.
+    /// The light that the picture shows as white; null if this is unchanged from the photographs, or if the frames
+    /// were only aligned.
     pub white_balance: Option<Light>,
     /// Result of deghosting; null without deghosting.
     pub ghosts: Option<GhostReport>,
@@ -95,7 +95,7 @@ pub struct Report {
     pub time_s: Times,
 }
 
-/// A rectangle of the reference, in pixels.
+/// A rectangle of the reference frame, in pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Crop {
     /// Column of its left edge.
@@ -141,15 +141,16 @@ pub struct FrameReport {
     pub f_number: Option<f64>,
     /// ISO sensitivity.
     pub iso: Option<f64>,
-    /// Relative exposure, with the correction, by which the frame is divided: t * ISO / N^2 in seconds, or 2^EV if EV
-    /// was given.
+    /// Relative exposure including the correction: t * ISO / N^2 in seconds, or 2^EV if EV was given. The merge
+    /// divides the frame by this value.
     pub relative_exposure: f64,
-    /// Correction of the exposure that was determined from the pixels, in stops.
+    /// Correction of the recorded exposure in stops, determined from the pixels.
     pub exposure_correction_stops: f64,
-    /// Standard deviation of an exposure that was estimated from the pixels, relative to the nearest known exposure;
-    /// null for exposures that were not estimated.
+    /// For an exposure that was estimated from the pixels: standard deviation, in stops, of the difference between
+    /// this exposure and the nearest known exposure of the bracket. Null for other exposures.
     pub exposure_uncertainty_stops: Option<f64>,
-    /// Whether t, ISO and N are used as recorded, or as the exact steps from which they were rounded.
+    /// Whether t, ISO and N are used as recorded, or replaced by the exact steps from which the recorded numbers were
+    /// rounded (1/32 s for 1/30 s).
     pub exposure_reading: Reading,
     /// The source of the exposure.
     pub exposure_source: ExposureSource,
@@ -164,13 +165,13 @@ pub struct FrameReport {
 pub struct AlignmentReport {
     /// Whether and how the frame was aligned.
     pub status: Status,
-    /// What rejected or excluded the frame; null for a frame that is used.
+    /// What rejected the frame: the alignment, the user or the flash; null for a frame that is used.
     pub rejected_by: Option<RejectedBy>,
     /// The smallest model that explains the motion of the frame.
     pub model: Option<Model>,
-    /// Nine numbers by rows, reference pixel -> frame pixel; null if the frame was rejected.
+    /// The 3 x 3 matrix that maps a reference pixel to a frame pixel, row by row; null if the frame was rejected.
     pub homography: Option<[f64; 9]>,
-    /// Shift of the picture centre in px, right and down.
+    /// Shift of the picture centre in px: to the right, and down.
     pub shift_px: Option<[f64; 2]>,
     /// Rotation in degrees, clockwise (from right towards down).
     pub rotation_deg: Option<f64>,
@@ -178,14 +179,15 @@ pub struct AlignmentReport {
     pub inliers: Option<usize>,
     /// Numbers of keypoints; null if features were not needed.
     pub keypoints: Option<KeypointCounts>,
-    /// Estimated root mean square error over the picture, in px; for an assumed transform, the error that is not
-    /// exceeded with a probability of 95 %.
+    /// Estimated root mean square of the alignment error in the picture, in px. For an assumed transform: the error
+    /// that is not exceeded with a probability of 95 %.
     pub error_px: Option<f64>,
     /// Confidence, 0..1; below 0.5 is low.
     pub confidence: f64,
-    /// Share of the picture that the transform does not fit, 0..1, because of depth or movement; null if not measured.
+    /// Fraction of the picture, 0..1, that the transform does not align, because of depth or movement; null if not
+    /// measured.
     pub displaced_fraction: Option<f64>,
-    /// Median displacement of the parts that the transform does not fit, in px.
+    /// Median displacement, in px, of the parts that the transform does not align.
     pub displaced_px: Option<f64>,
     /// Why the frame was rejected, excluded or not moved, or how its transform was inferred.
     pub reason: Option<String>,
@@ -226,7 +228,7 @@ pub struct Times {
 }
 
 impl Report {
-    /// Creates the report of a bracket and its alignment; the caller adds the rest.
+    /// Creates the report of a bracket and its alignment; the caller sets the other fields.
     pub fn new(bracket: &Bracket, alignment: &Alignment, crop: Rect) -> Self {
         let size = (bracket.width(), bracket.height());
         let found = alignment.placements.iter().zip(&alignment.features);

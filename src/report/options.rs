@@ -1,7 +1,7 @@
-//! Options of a run that are recorded in its report: those of alignment, merging and the picture, but not those that
-//! name frames or encode files.
+//! Options of a run that are recorded in its report: options for alignment, merging and the picture, but not options
+//! that select frames or control the encoding of files.
 //!
-//! In: the options of a run. Out: values as typed on the command line, including defaults. Cost: negligible.
+//! In: the options of a run. Out: values as they are typed on the command line, including defaults. Cost: negligible.
 
 use crate::align::{AlignMode, RobustMethod};
 use crate::bracket::colour::Space;
@@ -19,9 +19,9 @@ pub struct OptionsReport {
     pub align: AlignMode,
     /// Robust estimator for feature matches.
     pub robust: RobustMethod,
-    /// Largest rotation searched with bitmaps, in degrees, in both directions.
+    /// Largest rotation that is searched with bitmaps, in degrees, in both directions.
     pub max_rotation_deg: f64,
-    /// Requested part of the reference: `common`, `none`, or `X,Y,WIDTH,HEIGHT` in pixels of the reference.
+    /// Requested part of the reference frame: `common`, `none`, or `X,Y,WIDTH,HEIGHT` in pixels of the reference.
     pub crop: String,
     /// Exposure correction.
     pub exposures: Option<Exposures>,
@@ -36,7 +36,7 @@ pub struct OptionsReport {
     pub deghost_strength: Option<f64>,
     /// Whether lens flare is subtracted.
     pub flare: Option<bool>,
-    /// Requested colour space; null for that of the photographs.
+    /// Requested colour space; null for the colour space of the photographs.
     pub colour: Option<Space>,
     /// The tone mapping operator by name, with its parameters; null parameters are computed from the picture.
     pub operator: Option<Rendering>,
@@ -47,6 +47,6 @@ pub struct OptionsReport {
     pub bit_depth: Option<u8>,
     /// Colour space of the picture.
     pub picture_colour: Option<Colours>,
-    /// The size of the picture: pixels of its longest side, or a percentage; null for that of the radiance.
+    /// The size of the picture: pixels of its longest side, or a percentage; null for the size of the radiance map.
     pub resize: Option<String>,
 }

@@ -1,7 +1,7 @@
 //! The report of `tonemap`, for programs.
 //!
-//! In: a radiance map as read, and its processing. Out: JSON in a public format, with the version [`SCHEMA`] and
-//! units in the keys. Cost: that of the statistics, one pass.
+//! In: a radiance map as it was read, and how it was processed. Out: JSON in a public format, with the version
+//! [`SCHEMA`] and units in the keys. Cost: that of the statistics, one pass.
 
 use super::{ColourReport, Times, WarningReport};
 use crate::merge::radiance::calibration::{Factor, Unit};
@@ -15,7 +15,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::path::Path;
 
-/// The version of the format: keys may be added, but are never removed.
+/// The version of the format. In one version keys may be added, but are never removed.
 pub const SCHEMA: &str = "hdralign-tonemap/1";
 
 /// The input, processing and outputs of a run of `tonemap`.
@@ -36,17 +36,18 @@ pub struct TonemapReport {
     pub operator: Operator,
     /// Adjustments of the picture, as the user typed them.
     pub adjust: adjust::Options,
-    /// The light that is shown as white; null for that of the radiance map.
+    /// The light that the picture shows as white; null if this is unchanged from the radiance map.
     pub white_balance: Option<adjust::Light>,
     /// The primaries of the radiance.
     pub colour: ColourReport,
     /// The luminance of radiance 1 in cd/m2, if the file contains it (OpenEXR's whiteLuminance, TIFF's StoNits);
-    /// otherwise null. The format `.hdr` defines W/sr/m2, but most files are relative.
+    /// otherwise null. It is also null for `.hdr` files: the format defines W/sr/m2, but most files have relative
+    /// values.
     pub cd_m2_per_unit: Option<f64>,
-    /// Statistics of the luminance of the radiance as read (and converted to the requested colour space), without black
-    /// pixels.
+    /// Statistics of the luminance of the map as it was read (and converted to the requested colour space), without
+    /// black pixels.
     pub radiance: Statistics,
-    /// Number of pixels with NaN; they are shown black.
+    /// Number of pixels with NaN; these pixels are shown as black.
     pub not_number_pixels: usize,
     /// Number of pixels with an infinite value.
     pub infinite_pixels: usize,
@@ -61,8 +62,8 @@ pub struct TonemapReport {
 }
 
 impl TonemapReport {
-    /// Creates the report of `map`, whose values are positive and finite, as read from `input`; the caller adds the
-    /// rest.
+    /// Creates the report of `map`, whose values are positive and finite, as it was read from `input`; the caller
+    /// sets the other fields.
     pub fn new(input: &Path, map: &RadianceMap, metadata: &Metadata) -> Self {
         let unit = if metadata.cd_m2_per_unit == Some(Factor::ONE) { Unit::CdM2 } else { Unit::Relative };
         TonemapReport {
@@ -93,8 +94,8 @@ impl TonemapReport {
     }
 }
 
-/// Returns the statistics of `map` without black pixels, which files by other programs contain: their zeros became
-/// [`FLOOR`], which is no radiance of the scene. If all pixels are black, they are included.
+/// Returns the statistics of `map` without black pixels, which occur in files from other programs. Their zeros were
+/// replaced by [`FLOOR`], which is not a radiance of the scene. If all pixels are black, they are included.
 fn measured(map: &RadianceMap, unit: Unit) -> Statistics {
     let weights = weights(&map.primaries);
     let is_lit = |pixel: &&[f32; 3]| pixel.iter().any(|&v| v > FLOOR);

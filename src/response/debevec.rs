@@ -2,7 +2,7 @@
 //!
 //! In: the [`Sample`]s of a channel. Out: g(Z) = ln(E dt) and what is known about it, or the reason why it cannot be
 //! recovered. Cost: about 5 ms per round and channel for 2000 samples in four frames. Source: Debevec & Malik 1997,
-//! section 2.1, equations 3 and 4, and the program gsolve.m in their appendix, which the tests use as the oracle.
+//! section 2.1, equations 3 and 4, and the program gsolve.m in their appendix, with whose result the tests compare.
 //!
 //! The paper minimises
 //!
@@ -10,20 +10,21 @@
 //! O = sum_ij { w(Z_ij) [g(Z_ij) - ln E_i - ln dt_j] }^2 + lambda sum_z [ w(z) g''(z) ]^2
 //! ```
 //!
-//! over g and all ln E_i, by a singular value decomposition of a matrix with a column for each unknown. Here each ln
-//! E_i is eliminated first, because it is only in the rows of its own place: a Householder reflection replaces these
-//! rows by one row fewer, without ln E_i. The singular value decomposition is applied to the remaining equations, in g
-//! only. So thousands of places need no more columns than dozens, and the condition is not squared, as in normal
-//! equations. Five things differ from the paper:
+//! over g and all ln E_i, by a singular value decomposition of a matrix with a column for each unknown. Z_ij is the
+//! code of place i in frame j, E_i the radiance of place i, dt_j the exposure of frame j, and w the weight of a code.
+//! Here each ln E_i is eliminated first, because it is only in the rows of its own place: a Householder reflection
+//! replaces these rows by one row fewer, without ln E_i. The singular value decomposition is applied to the remaining
+//! equations, in g only. So thousands of places need no more columns than dozens. Normal equations would also need few
+//! columns, but would square the condition number. Five things differ from the paper:
 //!
-//! - Z_ij is the mean of a patch and is between two codes; g is interpolated linearly there.
-//! - The first sum is divided by the sum of its w^2, so that lambda has the same meaning for any number of samples
-//!   and frames.
+//! - Z_ij is the mean of a patch and lies between two codes; g is interpolated linearly between them.
+//! - The first sum is divided by the sum of its w^2, so that lambda has the same meaning for any number of samples and
+//!   frames.
 //! - Places that contradict the others (motion) lose their weight in a few rounds of Tukey's biweight.
 //! - The smoothness is that of the difference between g and the sRGB curve. If all frames are k stops apart, g is
 //!   determined only up to a wave of period k (Grossberg & Nayar 2003, "what is knowable"). The smoothness decides
 //!   what is not determined, and cameras are closer to the sRGB curve than to a straight line. On brackets with film
-//!   curves the error falls from 0.05 and 0.2 stops to 0.03.
+//!   curves, errors of 0.05 and 0.2 stops fall to 0.03.
 //! - The difference is a cubic spline with 47 coefficients instead of 256 values: the same curve, fifty times faster.
 
 use super::fit::{self, Fitted, Found, between};
@@ -38,10 +39,10 @@ use crate::response::fit::spline::Basis;
 pub struct Options {
     /// Largest number of places for each channel; 24 or more.
     pub samples: usize,
-    /// The weight lambda of smoothness relative to the mean square error of the samples; positive. On 130 rendered
-    /// brackets, the default of 30 causes the same error as a weight of 100 in the middle of the code range, and two
-    /// thirds of its error at the ends. A weight of 10 follows noise and waves, and so do weights derived from the
-    /// residual of each bracket.
+    /// The weight lambda of smoothness relative to the mean square error of the samples; positive. The default of 30
+    /// was compared with a weight of 100 on 130 rendered brackets: the error is the same in the middle of the code
+    /// range, and two thirds as large at the ends. With a weight of 10, the curve follows noise and waves. It also does
+    /// so with weights derived from the residual of each bracket.
     pub smoothness: f64,
     /// Number of rounds in which contradicting samples lose their weight; 0 for plain least squares.
     pub rounds: usize,
@@ -79,7 +80,8 @@ pub(super) fn channel(samples: &[Sample], options: &Options) -> Fitted<Found> {
     Ok(Found { g, trust, condition: Some(condition), degree: None })
 }
 
-/// Solves equation 3. Returns g, whose difference from `about` is in `basis`, and the condition of the equations.
+/// Solves equation 3 of the paper. Returns g and the condition number of the equations. The difference between g and
+/// the curve `about` is a sum of the splines in `basis`.
 fn solve(
     samples: &[Sample],
     trust: &[f64],
@@ -93,7 +95,7 @@ fn solve(
     let total: f64 = weights.zip(trust).map(|(w2, trust)| trust * w2).sum();
     let (mut rows, mut radiance) = (Vec::new(), Vec::new());
     for (sample, trust) in samples.iter().zip(trust).filter(|(_, trust)| **trust > 0.0) {
-        // w [g(Z_ij) - ln E_i] = w ln dt_j, in the difference from `about`.
+        // Each row is w [g(Z_ij) - ln E_i] = w ln dt_j, written for the difference between g and `about`.
         rows.clear();
         rows.resize(sample.views.len() * width, 0.0);
         radiance.clear();
@@ -178,8 +180,8 @@ mod tests {
         let smoothness = 0.7;
         let expected = gsolve(&z, &b, (smoothness * total).sqrt());
         let (g, _) = solve(&samples, &vec![1.0; samples.len()], smoothness, &Basis::values(), &[0.0; CODES]).unwrap();
-        // The error is the condition, about 1e3, times 2e-16, with a margin for 256 terms and for the error of the
-        // original program.
+        // The tolerance is the condition number, about 1e3, times the rounding error of 2e-16, with a margin for 256
+        // terms and for the error of the original program.
         for z in 0..CODES {
             assert!((g[z] - expected[z]).abs() < 1e-10, "code {z}: {} for {}", g[z], expected[z]);
         }
@@ -191,14 +193,15 @@ mod tests {
         let gamma = scene(600, &times, |x| libm::pow(x, 1.0 / 2.2));
         let (g, fit) = channel(&gamma, &Options::default()).unwrap();
         let off = difference(&g, |v| libm::pow(v, 2.2));
-        // At code 10 the curve leaves sRGB's straight toe; the smoothness pulls it towards the toe.
+        // Near code 10, where sRGB's straight toe ends, the smoothness pulls the curve towards this toe, which the
+        // camera does not have.
         assert!(off < 0.05, "{off} {fit:?}");
         assert!(g.windows(2).all(|w| w[0] < w[1]) && g[MID] == 0.0);
-        // A logarithmic camera: 12 stops over all codes; the scene has the codes from 21 on.
+        // The camera is logarithmic: all its codes together span 12 stops. The scene has the codes from 21 on.
         let log = scene(600, &times, |x| 1.0 + libm::log2(x.max(1e-9)) / 12.0);
         let (g, fit) = channel(&log, &Options::default()).unwrap();
         let off = difference_from(24, &g, |v| libm::exp2(12.0 * v));
-        // This far from sRGB's curve, the smoothness adds error.
+        // The tolerance is larger than above, because the smoothness adds error for a curve so far from sRGB's.
         assert!(off < 0.06, "{off} {fit:?}");
     }
 
@@ -209,7 +212,7 @@ mod tests {
         let within =
             |basis: &Basis| solve(&samples, &vec![1.0; samples.len()], 10.0, basis, srgb.ln_exposure(0)).unwrap().0;
         let (free, splines) = (within(&Basis::values()), within(&Basis::cubic()));
-        // A hundredth of the error that is allowed for a known curve.
+        // The tolerance is a hundredth of the 0.05 stops that are allowed for a known curve.
         assert!(difference(&splines, |v| libm::exp(fit::at(&free, 255.0 * v))) < 0.0005);
     }
 
@@ -241,9 +244,9 @@ mod tests {
             difference(&channel(&samples, &options).unwrap().0, |v| libm::pow(v, 2.2))
         };
         let (plain, robust) = (bent(0), bent(3));
-        // In an eighth of the places something moved, and each of these became brighter. Motion within the noise cannot
-        // be detected, so a part of the error remains (0.083 of 0.211 stops, for any number of rounds). The test is of
-        // the ratio, not of an accuracy.
+        // In an eighth of the places something moved, and each of these places became brighter in the longest
+        // exposure. Motion within the noise cannot be detected, so 0.083 of 0.211 stops of error remain, for any
+        // number of rounds. The test checks the ratio of the two errors, not the accuracy.
         assert!(robust < plain / 2.4, "{robust} and {plain} stops");
     }
 
@@ -262,7 +265,7 @@ mod tests {
         assert!(why(&scene(10, &[0.0, 2.0], gamma)).contains("evenly bright places"));
         assert!(why(&scene(600, &[0.0, 0.0], gamma)).contains("0.00 stops"));
         assert!(why(&scene(600, &[-1.0, 0.0], |x| 0.3 + 0.1 * x)).contains("the pixel values"));
-        // Exposures 0.1 stops apart that are recorded as 2 nepers apart: EXIF is wrong.
+        // The exposures are 0.1 stops apart, but are recorded as 2 nepers apart: EXIF is wrong.
         let mut lie = scene(600, &[0.0, 0.1], gamma);
         lie.iter_mut().for_each(|s| s.views[1].ln_time = 2.0);
         assert!(

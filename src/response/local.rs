@@ -1,17 +1,19 @@
-//! Local processing: whether the camera tone-mapped the frames locally, so that they are not functions of exposure
-//! alone.
+//! Local processing: finds out whether the camera tone-mapped the frames locally, so that their code values do not
+//! depend on exposure alone.
 //!
-//! In: the flat places of a bracket. Out: [`Evidence`]: which fraction of an exposure step reaches the frames, and
-//! how much the ratio of two frames varies over the picture at the same code. Cost: some milliseconds for any size.
-//! Source: the variance components are those of a one-way analysis of variance (Fisher 1925); the rest is our own.
+//! In: the flat places of a bracket. Out: [`Evidence`]: which fraction of an exposure step is found in the code
+//! values, and how much the ratio of two frames varies over the picture at equal code values. Cost: some milliseconds
+//! for any size. Source: the variance components are those of a one-way analysis of variance (Fisher 1925); the rest
+//! is our own.
 //!
 //! Phones brighten dark neighbourhoods and darken bright ones, differently in every frame. This has two effects:
 //!
 //! 1. A stop more of exposure brightens a frame by less than a stop. A camera response may have the same effect, but
-//!    within bounds: under the sRGB curve, the steps between frames rendered with the 100 measured curves of DoRF
-//!    (Grossberg & Nayar 2004) are 0.8 to 2.2 times the true ones (median over a picture); those of 14 photographed
-//!    brackets of six cameras are 1.0 to 1.7 times.
-//! 2. Places with equal codes in the shorter frame differ in the longer one, depending on their position in the
+//!    within bounds. The bounds were measured by converting code values to exposures with the sRGB curve. Between
+//!    frames rendered with the 100 measured curves of DoRF (Grossberg & Nayar 2004), the exposure steps found were 0.8
+//!    to 2.2 times the true steps (median over a picture). In 14 photographed brackets of six cameras, they were 1.0
+//!    to 1.7 times the true steps.
+//! 2. Places with equal codes in the shorter frame differ in the longer frame, depending on their position in the
 //!    picture. Noise has this effect too, but is independent between neighbours; motion has it only in few places.
 
 use super::ResponseCurve;
@@ -25,45 +27,46 @@ const STEP: f64 = 0.9;
 const RANGE: (f64, f64) = (8.0, 247.0);
 /// Smallest number of places from which a pair of frames is evaluated.
 const FEWEST: usize = 60;
-/// Number of places in a block of about equal brightness; the median ratio of each block is the part that depends on
-/// exposure alone.
+/// Number of places in a block of about equal brightness. The median ratio of each block is the part of the ratios
+/// that depends on exposure alone.
 const BLOCK: usize = 40;
 /// Number of neighbourhoods along the longer side of the picture.
 const NEIGHBOURHOODS: usize = 24;
-/// Reach of Tukey's biweight in robust standard deviations: places beyond it show motion.
+/// Reach of Tukey's biweight in robust standard deviations: places beyond it are taken for motion.
 const REACH: f64 = 4.685;
-/// Frames are locally processed if their variation over the picture, in stops, exceeds LOCAL * f^POWER, where f is the
-/// fraction of the nominal exposure step that is found in the pixels. The limit is measured: variation / f^5 was at
-/// most 0.023 on 301 rendered brackets without local processing (truth.py) and at most 0.032 on 15 photographed ones,
-/// among them motion, mist, film and flash (0.056 on one of water). It was 0.061 or more on 49 of 52 brackets of
-/// phones; the other three have curves at least 1.5 times as steep as sRGB's, and 0.004 to 0.022. Because of the
-/// power, frames with the full step must vary by more than any camera response causes, and frames with half of it
-/// only by little.
+/// Frames count as locally processed if their variation over the picture, in stops, exceeds LOCAL * f^POWER, where f
+/// is the fraction of the nominal exposure step that is found in the pixels. The limit is measured. Without local
+/// processing, variation / f^POWER was at most 0.023 on 301 rendered brackets (truth.py), and at most 0.032 on 15
+/// photographed brackets, some with motion, mist, film or flash; it was 0.056 on a bracket of water. It was 0.061 or
+/// more on 49 of 52 brackets of phones. The other three had 0.004 to 0.022; their curves are at least 1.5 times as
+/// steep as sRGB's. Because of the power, frames with the full exposure step must vary by more than any camera
+/// response causes, but frames with half of the step only by little.
 const LOCAL: f64 = 0.04;
 const POWER: f64 = 5.0;
-/// Frames that differ by more than this fraction of an exposure step were not compressed, whatever their variation over
-/// the picture: that of water under moving lights, which was not compressed, was 0.48 stops. The fraction was 0.40 to
-/// 1.02 on 24 brackets with simulated phone processing (truth.py). It was 1.17 to 1.59 on six photographed brackets:
-/// above 1, because camera curves are steeper than sRGB's.
+/// Frames in which more than this fraction of an exposure step is found do not count as locally processed, whatever
+/// their variation over the picture. The variation may have other causes: it was 0.48 stops on a bracket of water
+/// under moving lights. The fraction was 0.40 to 1.02 on 24 brackets with simulated phone processing (truth.py), and
+/// 1.17 to 1.59 on six photographed brackets. It is above 1 there because camera curves are steeper than sRGB's.
 const COMPRESSED: f64 = 1.2;
-/// Number of standard errors that are subtracted from a variance, because neighbours are correlated by more than noise.
+/// Number of standard errors that are subtracted from a variance. It is large because other causes than noise also
+/// make neighbouring places similar.
 const ERRORS: f64 = 4.0;
-/// Number of brightness levels. The level with the least compression is assumed to have the full exposure step, because
-/// tone mapping compresses and never expands. On 12 rendered brackets this improves details by 0.4 dB compared with
-/// assuming that the fraction which 5 % of all places exceed is the full step.
+/// Number of brightness levels. The level with the least compression is assumed to have the full exposure step,
+/// because tone mapping compresses and never expands. The alternative was to take the 95th percentile of the fractions
+/// of all places for the full step; on 12 rendered brackets, details are 0.4 dB worse with it.
 const LEVELS: usize = 8;
 
 /// Evidence of local processing in flat places.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Evidence {
-    /// Median fraction of an exposure step by which frames differ, under the sRGB curve.
+    /// Median, over all places and pairs of frames, of the fraction of the exposure step by which two frames differ
+    /// under the sRGB curve.
     pub step_fraction: f64,
-    /// The median fraction at the brightness level where it is largest, because places of that level are compressed
-    /// least.
+    /// The largest of the median fractions of the brightness levels. Places of that level are compressed least.
     pub most_step_fraction: f64,
-    /// Standard deviation of the ratio of two frames between the neighbourhoods of the picture, in stops. The part that
-    /// the code value explains and the part that noise explains are subtracted. It is that of the pair of frames for
-    /// which it is largest; 0 if noise explains all of it.
+    /// Standard deviation, in stops, of the ratio of two frames between the neighbourhoods of the picture. The part
+    /// that the code value explains and the part that noise explains are subtracted. The value is that of the pair of
+    /// frames with the largest deviation; it is 0 if noise explains all of the deviation.
     pub variation_stops: f64,
     /// Whether the frames are locally processed.
     pub is_local: bool,
@@ -112,9 +115,9 @@ pub fn evidence(places: &Places, longer_side: usize) -> Option<Evidence> {
 struct Ratio {
     at: (usize, usize),
     channel: usize,
-    /// Mean of the two logarithms of exposure by the sRGB curve, in stops.
+    /// Mean of the logarithms of exposure in both frames, by the sRGB curve, in stops.
     level: f64,
-    /// Logarithm of the ratio of the longer to the shorter frame, in stops.
+    /// Logarithm of the exposure in the longer frame divided by that in the shorter frame, in stops.
     stops: f64,
 }
 
@@ -128,7 +131,7 @@ fn variation(ratios: &[Ratio], side: usize) -> Option<f64> {
         let usual = medians(&of, (of.len() / BLOCK).clamp(1, CODES));
         residuals.extend(of.iter().map(|ratio| (ratio.at, ratio.stops - between(&usual, ratio.level))));
     }
-    // A place has one value: the median of its channels.
+    // The values of the channels of a place are replaced by one value, their median.
     residuals.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
     let mut places: Vec<((usize, usize), f64)> =
         residuals.chunk_by(|a, b| a.0 == b.0).map(|all| (all[0].0, all[all.len() / 2].1)).collect();
@@ -139,7 +142,7 @@ fn variation(ratios: &[Ratio], side: usize) -> Option<f64> {
     }
     let cell = |(x, y): (usize, usize)| (y / side, x / side);
     places.sort_by(|a, b| cell(a.0).cmp(&cell(b.0)).then(a.0.cmp(&b.0)));
-    // The mean product of two places of a neighbourhood is the variance that they share.
+    // The mean product of two places in the same neighbourhood is the variance that these places share.
     let (mut products, mut pairs, mut spread) = (0.0, 0.0, 0.0);
     for group in places.chunk_by(|a, b| cell(a.0) == cell(b.0)) {
         let sum: f64 = group.iter().map(|(_, v)| v).sum();
@@ -153,14 +156,14 @@ fn variation(ratios: &[Ratio], side: usize) -> Option<f64> {
     if pairs < 1.0 {
         return None;
     }
-    // If the values are independent, the variance of the mean product is the sum of the squared products over the
-    // squared number of pairs, with each pair counted once. Computed from the mean noise, it would be too low, because
-    // dark places are noisier and close to each other.
+    // If the values are independent, the variance of the mean product is the sum of the squared products divided by
+    // the square of the number of pairs; each pair counts once. A variance computed from the mean noise of the picture
+    // would be too low, because dark places are noisier and close to each other.
     let error = (spread / 2.0).max(0.0).sqrt() / (pairs / 2.0);
     Some((products / pairs - ERRORS * error).max(0.0).sqrt())
 }
 
-/// Sorted places are divided into `blocks` blocks. Returns the level and the median ratio of each.
+/// Divides the `sorted` ratios into `blocks` blocks. Returns the level and the median ratio of each block.
 fn medians(sorted: &[&Ratio], blocks: usize) -> Vec<(f64, f64)> {
     let size = sorted.len().div_ceil(blocks).max(1);
     let of = |block: &[&Ratio]| Some((block[block.len() / 2].level, median(block.iter().map(|ratio| ratio.stops))?));

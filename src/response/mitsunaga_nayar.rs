@@ -9,20 +9,21 @@
 //! O = sum_qp [f(M_pq) - R_{q,q+1} f(M_p,q+1)]^2
 //! ```
 //!
-//! over consecutive exposures q and places p. Then each R_{q,q+1} is computed from f, as the mean of f(M_pq) /
-//! f(M_p,q+1), and both steps are repeated until f no longer changes. The degree is the smallest that fits. Eight
-//! things differ from the paper:
+//! over consecutive exposures q (the shorter) and q + 1, and over places p. M_pq is the code of place p in exposure q,
+//! and R_{q,q+1} the ratio of exposure q to exposure q + 1. Then each R_{q,q+1} is computed from f, as the mean of
+//! f(M_pq) / f(M_p,q+1), and both steps are repeated until f no longer changes. The degree is the smallest that fits.
+//! Eight things differ from the paper:
 //!
-//! - The sum is of relative errors: each is divided by R f(M_p,q+1), with the previous f. Absolute errors would be
-//!   dominated by bright codes.
+//! - The sum is of relative errors: each error is divided by R f(M_p,q+1), with the f of the previous round. Absolute
+//!   errors would be dominated by bright codes.
 //! - Each pair has a weight: the square of the smaller of the hat weights of its two codes.
 //! - R is the geometric mean of the ratios, with these weights.
-//! - f is 1 at code 128 instead of 255, which no unclipped sample has.
+//! - f is 1 at code 128. In the paper it is 1 at code 255, which no unclipped sample has.
 //! - f is a sum of Chebyshev polynomials: the same polynomial, from equations that are ten orders of magnitude better
 //!   conditioned.
 //! - Places that contradict the others lose their weight, as in the other models.
 //! - The estimated R replace the given ones only if the error is clearly smaller. They are reported in any case.
-//! - f^u with R^u fits as well as f with R for any u, and the alternation drifts along u. Afterwards f and R are
+//! - f^u with R^u fits as well as f with R for any power u, and u drifts during the rounds. Afterwards f and R are
 //!   raised to the power for which R agrees best with the given exposures.
 
 use super::fit::{self, Fitted, Found};
@@ -36,21 +37,22 @@ use std::ops::RangeInclusive;
 const DEGREES: RangeInclusive<usize> = 3..=10;
 /// Values of the Chebyshev polynomials T_0 to T_10 at a code.
 type Terms = [f64; 11];
-/// A higher degree is used if it reduces the error to less than this fraction.
+/// A higher degree is used if it reduces the error to less than this fraction of the error with the lower degree.
 const BETTER: f64 = 0.98;
 /// Smallest slope of ln f per code that a response has, from code 10 to 245: a tenth of sRGB's smallest. A polynomial
-/// with a smaller slope follows what equal exposure steps do not determine, and not the camera.
+/// with a smaller slope has waves that equal exposure steps do not determine, and that a camera does not have.
 const RISE: f64 = 1e-3;
-/// Estimated ratios are used if they reduce the error to less than this fraction, because f and R can drift together
-/// and fit as well as before.
+/// Estimated ratios are used only if they reduce the error to less than this fraction. A smaller reduction does not
+/// count, because f and R can drift together and still fit as well as before.
 const REFINED: f64 = 0.8;
-/// Largest number of alternations of f and R, and the number of them before R is estimated.
+/// Largest number of rounds, and number of rounds that fit only f before the later ones also estimate R.
 const ROUNDS: (usize, usize) = (20, 2);
 /// f has converged if no value changes by more than this fraction.
 const STAYS: f64 = 1e-4;
-/// Smallest f, so that it has a logarithm: code 0 of the sRGB curve has 1/1000 of code 128.
+/// Smallest f, so that it has a logarithm. For comparison: in the sRGB curve, f at code 0 is about 1/2800 of f at code
+/// 128.
 const LEAST: f64 = 1e-5;
-/// Range of the power that turns given exposure ratios into estimated ones; no camera is outside of it.
+/// Range of the power that turns given exposure ratios into estimated ratios. No camera needs a power outside of it.
 const POWER: RangeInclusive<f64> = 0.5..=2.0;
 
 /// Options of the fit.
@@ -134,7 +136,7 @@ struct Polynomial {
 }
 
 impl Polynomial {
-    /// Whether f rises as a response does.
+    /// Whether f rises by more than [`RISE`] per code, as a response does.
     fn rises(&self) -> bool {
         self.g[10..=245].windows(2).all(|w| w[1] - w[0] > RISE)
     }
@@ -180,7 +182,7 @@ impl Pairs {
         Pairs { all, ratios }
     }
 
-    /// Fits f, and if `refined` also R, alternately.
+    /// Fits f or, if `refined`, f and R alternately.
     fn alternate(mut self, samples: &[Sample], degree: usize, refined: bool) -> Fitted<Polynomial> {
         let values: [Terms; CODES] = std::array::from_fn(|z| chebyshev(z as f64));
         let srgb = ResponseCurve::srgb();
@@ -234,7 +236,7 @@ impl Pairs {
         for pair in &self.all {
             let ratio = inverse[pair.ratio];
             let (a, b) = &pair.terms;
-            // c_0 = 1 - sum c_n T_n(128), n > 0, for f(128) = 1.
+            // For f(128) = 1, c_0 is replaced by 1 - sum c_n T_n(128), n > 0.
             let constant = 1.0 - ratio;
             for n in 1..=degree {
                 row[n - 1] = a[n] - ratio * b[n] - constant * mid[n];
@@ -326,15 +328,16 @@ mod tests {
             .filter(|s: &Sample| s.views.len() > 1)
             .collect();
         let (g, fit) = curve(&samples, &Options { degree: Some(2), ..Options::default() });
-        // f is interpolated linearly between codes when ratios are estimated; at code 10 this has an error of 1/800.
+        // f is interpolated linearly between codes when ratios are estimated. Near code 10 the relative error of f is
+        // up to 1/440.
         assert!(difference(&g, |v| v * v) < 0.003, "{fit:?}");
         assert_eq!(fit.degree, Some(2));
     }
 
     #[test]
     fn rough_exposures_are_corrected() {
-        // The given exposure of the middle frame is 0.2 stops longer than the true one; three exposures two stops
-        // apart.
+        // The three exposures are two stops apart. The given exposure of the middle frame is 0.2 stops longer than the
+        // true one.
         let mut samples = scene(800, &[-2.0, 0.0, 2.0], |x| libm::pow(x, 1.0 / 2.2));
         let said = 0.2;
         for view in samples.iter_mut().flat_map(|s| &mut s.views).filter(|v| v.ln_time == 0.0) {
@@ -343,8 +346,8 @@ mod tests {
         let (found, ratios) = channel(&samples, &Options::default()).unwrap();
         let stops =
             |i: usize| ratios.iter().find(|r| r.ln_times.0 == [-2.0 * LN_2, said * LN_2][i]).unwrap().ln_ratio / LN_2;
-        // Ratios of 2.2 and 1.8 stops were given; 2 and 2 are true. The sum of both is not tested: the power of the
-        // ratios, which only the given ones determine, has an error of 2 %.
+        // Ratios of 2.2 and 1.8 stops were given; 2 and 2 are true. The sum of both ratios is not tested: it depends
+        // on the power of the ratios, which only the given ratios determine and which has an error of 2 %.
         assert!((stops(0) - stops(1)).abs() < 0.05, "{} {}", stops(0), stops(1));
         let (g, _) = fit::finish(&samples, found).unwrap();
         assert!(difference(&g, |v| libm::pow(v, 2.2)) < 0.08);

@@ -37,9 +37,9 @@ pub const CODES: usize = 256;
 /// The code whose exposure is 1, so that g is 0 there.
 pub const MID: usize = 128;
 
-/// Exposure of code 0 relative to code 1. Rounding gives code 0 to all exposures below half of that of code 1; their
-/// mean is a quarter. No sample determines the exposure of code 0, and a smaller ratio would turn values that are only
-/// rounded down into dark specks.
+/// Exposure of code 0 divided by that of code 1. Rounding gives code 0 to all exposures below half of the exposure of
+/// code 1, and the mean of these exposures is a quarter of it. No sample determines the exposure of code 0, and a
+/// smaller ratio would turn values that are only rounded down into dark specks.
 const BLACK: f64 = 1.0 / 4.0;
 
 /// The curves of the three channels are made parallel below the first and above the second of these codes.
@@ -198,7 +198,7 @@ pub struct ResponseReport {
     pub fallback: Option<String>,
 }
 
-/// The ratio of two exposures that are consecutive among the unclipped exposures of some place of the scene.
+/// The ratio of two exposures that are consecutive among the exposures in which some place of the scene is unclipped.
 #[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct RatioReport {
@@ -222,8 +222,8 @@ pub struct Fit {
     pub residual_stops: f64,
     /// Smallest and largest code of the samples.
     pub codes: (f64, f64),
-    /// Ratio of the largest to the smallest singular value of the system of equations; null for Robertson, which solves
-    /// no system, and for a borrowed curve.
+    /// Ratio of the largest to the smallest singular value of the system of equations; null for Robertson, which
+    /// solves no system, and for a curve borrowed from the other channels.
     pub condition: Option<f64>,
     /// Degree of the polynomial, if the model is one.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -246,15 +246,15 @@ pub fn recover(
     recover_from(&[&Places::of(bracket, alignment)?], model)
 }
 
-/// A saved curve contradicts the frames if sqrt(a^2 - b^2) is above this, in stops, where a is its residual, and b that
-/// of a curve recovered from the frames. For curves of one camera, each from another scene, it is 0.03 to 0.08 (14
-/// pairs; Canon 550D and 5D, Samsung A52s); for a linear curve 0.2 to 0.5.
+/// A saved curve contradicts the frames if sqrt(a^2 - b^2) is above this, in stops. Here a is the residual of the
+/// saved curve, and b the residual of a curve recovered from the frames. The root was 0.03 to 0.08 for curves of the
+/// same camera from other scenes (14 pairs; Canon 550D and 5D, Samsung A52s), and 0.2 to 0.5 for a linear curve.
 const CONTRADICTED: f64 = 0.1;
 
-/// Returns the root mean square residuals of `curve` and of a curve recovered from the frames, in stops, if the first
-/// contradicts the frames: if the difference of the squares of both residuals is above the square of `CONTRADICTED`,
-/// because independent errors add in squares. Returns `None` if `curve` fits about as well, or if no curve can be
-/// recovered from the frames.
+/// Returns the root mean square residuals, in stops, of `curve` and of a curve recovered from the frames, if `curve`
+/// contradicts the frames. It does if the square of its residual exceeds the square of the other residual by more than
+/// the square of `CONTRADICTED`; squares are compared because independent errors add in squares. Returns `None` if
+/// `curve` fits about as well, or if no curve can be recovered from the frames.
 ///
 /// # Errors
 /// As [`recover`].
@@ -372,10 +372,10 @@ fn pooled(ratios: &[&Ratio]) -> Vec<RatioReport> {
     sums.into_iter().map(report).collect()
 }
 
-/// Returns the curves `g`, with slopes that are common to all channels at both ends of the code range and, in each
-/// channel, outside the range `codes` of its samples. The common slope at a code is the median of the channels that
-/// have samples there. Few samples are at the ends, and if the channels differed there, black and white would get a
-/// colour.
+/// Returns the curves `g` with new slopes where few samples determine the slope: at both ends of the code range and, in
+/// each channel, outside the range `codes` of its samples. The new slope at a code is common to all channels: it is the
+/// median slope of the channels that have samples there. If the channels differed at the ends, black and white would
+/// get a colour.
 fn with_common_ends(g: [[f64; CODES]; 3], codes: [(f64, f64); 3]) -> [[f64; CODES]; 3] {
     let step = |z: usize| {
         let saw = |c: usize| codes[c].0 <= z as f64 && (z + 1) as f64 <= codes[c].1;

@@ -3,18 +3,19 @@
 //! In: the [`Sample`]s of a channel. Out: g(Z) = ln I(Z), or the reason why it cannot be recovered. Cost: about a
 //! hundred sweeps over the samples, each about 0.1 ms for 2000. Source: Robertson, Borman & Stevenson 2003,
 //! "Estimation-theoretic approach to dynamic range enhancement using multiple exposures", section IV: the exposures
-//! I_m of all codes and the irradiances x_j of all places minimise
+//! I_m of all codes m and the irradiances x_j of all places j minimise
 //!
 //! ```text
 //! O = sum_ij w_ij (I(y_ij) - t_i x_j)^2
 //! ```
 //!
-//! by Gauss-Seidel iteration: the x_j for the current I_m, x_j = sum_i w t_i I / sum_i w t_i^2; then the I_m for these
-//! x_j, the mean of t_i x_j over all views of code m; then all I_m are divided by I_128. w is their Gaussian,
-//! exp(-4 (y - 127.5)^2 / 127.5^2). Five things differ from the paper:
+//! where y_ij is the code of place j in frame i, and t_i the exposure of frame i. Each Gauss-Seidel iteration (sweep)
+//! first computes the x_j for the current I_m: x_j = sum_i w t_i I / sum_i w t_i^2. It then computes the I_m for these
+//! x_j: the mean of t_i x_j over all views (places in one frame) of code m. Finally, all I_m are divided by I_128. w is
+//! the Gaussian of the paper, exp(-4 (y - 127.5)^2 / 127.5^2). Five things differ from the paper:
 //!
-//! - y_ij is the mean of a patch and is between two codes; I is interpolated linearly there, and a view counts for
-//!   both.
+//! - y_ij is the mean of a patch and lies between two codes; I is interpolated linearly between them, and a view counts
+//!   for both codes.
 //! - w is divided by I^2, so that the relative error is minimised. Absolute errors would be dominated by bright
 //!   codes, and dark codes would have errors of at least 0.1 stops (measured on rendered brackets).
 //! - The change of ln I in a sweep is smoothed over the codes (Whittaker 1923). The sums have no unique minimum,
@@ -36,10 +37,10 @@ const LEAST: f64 = 0.2;
 pub struct Options {
     /// Largest number of places for each channel; 24 or more.
     pub samples: usize,
-    /// Weight of the squared second differences of a sweep's change, relative to the views, which are scaled to a mean
-    /// of one view per code; positive.
+    /// Weight of the smoothness term: the squared second differences, over the codes, of a sweep's change; positive.
+    /// It is relative to the number of views, which is scaled to a mean of one view per code.
     pub smoothness: f64,
-    /// The next sweep follows if a sweep reduces the objective by at least this fraction; positive, below 1.
+    /// Sweeps are repeated as long as each reduces the objective by at least this fraction; positive, below 1.
     pub gain: f64,
     /// Largest number of sweeps in all rounds; 1 or more.
     pub sweeps: usize,
@@ -117,7 +118,7 @@ impl SweepView {
     }
 }
 
-/// Updates the x and then the I. Returns the new ln I, and the root mean square of 1 - t x / I with the old I.
+/// Updates all x_j and then all I_m. Returns the new ln I, and the root mean square of 1 - t x / I with the old I.
 fn sweep(samples: &[Vec<SweepView>], trust: &[f64], g: &[f64; CODES], smoothness: f64) -> Fitted<([f64; CODES], f64)> {
     let exposure = g.map(libm::exp);
     let (mut change, mut count) = ([0.0; CODES], [0.0; CODES]);
@@ -151,8 +152,9 @@ fn sweep(samples: &[Vec<SweepView>], trust: &[f64], g: &[f64; CODES], smoothness
     Ok((next, (square / weight).sqrt()))
 }
 
-/// Returns the values u that minimise sum_z n_z (u_z - c_z / n_z)^2 + lambda sum_z (u_{z-1} - 2 u_z + u_{z+1})^2,
-/// from n and c. Codes without views are extrapolated linearly. Solves a pentadiagonal system by L D L'.
+/// Returns the values u that minimise sum_z n_z (u_z - c_z / n_z)^2 + lambda sum_z (u_{z-1} - 2 u_z + u_{z+1})^2. n_z
+/// is the weight of the views at code z, and c_z their weighted sum. Codes without views are extrapolated linearly.
+/// Solves a pentadiagonal system by L D L'.
 fn whittaker(n: &[f64; CODES], c: &[f64; CODES], lambda: f64) -> [f64; CODES] {
     let (mut diagonal, mut first, mut second) = (*n, [0.0; CODES], [0.0; CODES]);
     for z in 1..CODES - 1 {
@@ -163,7 +165,8 @@ fn whittaker(n: &[f64; CODES], c: &[f64; CODES], lambda: f64) -> [f64; CODES] {
         first[z] -= 2.0 * lambda;
         second[z - 1] += lambda;
     }
-    // L has 1 on its diagonal, and below it `first` and `second`, which contain D L' until they are divided.
+    // L has 1 on its diagonal, and `first` and `second` on the two diagonals below it. Before they are divided by D,
+    // `first` and `second` contain D L'.
     let mut u = *c;
     for z in 0..CODES {
         let d = diagonal[z];
@@ -242,7 +245,8 @@ mod tests {
             }
         }
         let dense = matrix.cholesky().unwrap().solve(&DVector::from_column_slice(&c));
-        // The error is the condition, about 16 x 300 x 256 = 1e6, times 2e-16, with a margin.
+        // The tolerance is the condition number, about 16 x 300 x 256 = 1e6, times the rounding error of 2e-16, with a
+        // margin.
         assert!(whittaker(&n, &c, 300.0).iter().zip(&dense).all(|(a, b)| (a - b).abs() < 1e-9));
     }
 

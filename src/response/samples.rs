@@ -18,7 +18,7 @@ use std::ops::Range;
 
 /// Side of a patch in pixels.
 const PATCH: usize = 5;
-/// Number of candidates along each side of a cell; the flattest candidate of the cell is used.
+/// Number of candidate patches along each side of a cell of the picture. The flattest candidate of the cell is used.
 const TRIES: usize = 2;
 /// Largest number of patches that are read, for any size and number of frames.
 const READ: usize = 60_000;
@@ -29,11 +29,12 @@ const ROUGH: f64 = 12.0;
 /// Number of codes by which a longer exposure may be darker than a shorter one, in addition to the noise of the
 /// patches.
 const DARKER: f64 = 2.0;
-/// Smallest increase of a patch's code per stop of exposure, relative to the code and absolute. If the increase is
-/// smaller, the shorter exposure is at the black of the film or sensor, and is not used. Camera curves rise by a fifth
-/// to a third of the code per stop.
+/// Smallest increase of a patch's code per stop of exposure: a fraction of the code and a number of codes, of which
+/// the larger counts. If the increase is smaller, the shorter exposure is at the black of the film or sensor, and is
+/// not used. Camera curves rise by a fifth to a third of the code per stop.
 const RISE: (f64, f64) = (0.05, 0.5);
-/// Black is estimated from at least this many patches, and is above this fraction of them.
+/// Smallest number of patches from which black is estimated, and the fraction of their codes that lies below the
+/// estimate.
 const BLACK: (usize, f64) = (20, 0.95);
 /// Codes from here on are never black.
 const DARK: f64 = 64.0;
@@ -64,7 +65,7 @@ struct Patch {
     seen: bool,
 }
 
-/// A place of the scene, with its patches in every frame: `None` for a frame that does not cover the place.
+/// A place of the scene, with its patches in every frame. A patch is `None` if the frame does not cover the place.
 #[derive(Debug, Clone)]
 struct Candidate {
     /// Column and row of the patch's top-left pixel in the reference.
@@ -135,8 +136,8 @@ impl Places {
         Ok(seen)
     }
 
-    /// Keeps so many places that all their patches together are at most `patches`, evenly over the picture; all places
-    /// if there are fewer.
+    /// Keeps as many places as possible with at most `patches` patches in all frames together, evenly over the
+    /// picture. Keeps all places if there are fewer.
     pub fn thin(&mut self, patches: usize) {
         let (all, kept) = (self.places.len(), patches / self.frames.len().max(1));
         if all <= kept {
@@ -210,8 +211,8 @@ fn changes(place: &Candidate, frames: &[(usize, f64)], channel: usize) -> Vec<(u
     views.windows(2).map(change).collect()
 }
 
-/// Returns the range of indices of the frames that measure a place: without frames so short that a longer one is no
-/// brighter.
+/// Returns the range of indices of the frames that measure a place. Frames so short that the next longer one is no
+/// brighter are not in the range.
 fn telling(place: &Candidate, frames: &[(usize, f64)], channel: usize) -> Range<usize> {
     first_rise(&changes(place, frames, channel))..frames.len()
 }
@@ -223,8 +224,8 @@ fn first_rise(changes: &[(usize, Ordering)]) -> usize {
 }
 
 /// Returns the code up to which a frame is black: the codes of patches that do not become brighter, plus two standard
-/// deviations of their noise. A patch with motion does not become brighter either, but other patches with the same
-/// code do.
+/// deviations of their noise. A patch with motion does not become brighter either. But other patches with the same code
+/// do, so that the code does not count as black.
 fn black(seen: &[&Places], channel: usize) -> f64 {
     let dark = |patch: &&[Patch; 3]| patch[channel].mean < DARK;
     let (mut underexposed, mut exposed) = (Vec::new(), Vec::new());
@@ -250,8 +251,8 @@ fn black(seen: &[&Places], channel: usize) -> f64 {
     if codes.len() < BLACK.0 { 0.0 } else { of_rank(codes, rank).unwrap_or(0.0) }
 }
 
-/// Returns the code that separates `below` (up to it) from `above` (beyond it) with the fewest codes on the wrong side;
-/// `f64::MIN` if there are fewest when all codes are taken for `above`.
+/// Returns the code that separates `below` (up to this code) from `above` (beyond it) with the fewest codes on the
+/// wrong side. It is `f64::MIN` if the fewest codes are wrong when all count as `above`.
 fn parting(below: impl Iterator<Item = f64>, above: Vec<f64>) -> f64 {
     let mut codes: Vec<(f64, i32)> =
         below.map(|code| (code, 1)).chain(above.into_iter().map(|code| (code, -1))).collect();
@@ -288,7 +289,8 @@ fn look(frames: &[Strip], x: usize, y: usize) -> Option<Candidate> {
 fn brightens(patches: &[Option<[Patch; 3]>], channel: usize) -> bool {
     let mut brightest = f64::MIN;
     patches.iter().flatten().map(|patch| patch[channel]).all(|p| {
-        // The mean of n pixels has a standard error of deviation / sqrt(n); three standard errors are within chance.
+        // The mean of n pixels has a standard error of deviation / sqrt(n). Differences of up to three standard errors
+        // may be due to noise.
         let tolerance = DARKER + 3.0 * p.deviation / PATCH as f64;
         let rises = p.mean >= brightest - tolerance;
         brightest = brightest.max(p.mean);
@@ -333,8 +335,8 @@ fn measure<T: Copy + Into<u64>>(codes: &[T], stride: usize, scale: f64) -> [Patc
     })
 }
 
-/// Returns at most `count` samples of a channel, in equal numbers over the bins of brightness as far as there are
-/// places; the flattest of each bin.
+/// Returns at most `count` samples of a channel. All bins of brightness have equal numbers of samples, as far as they
+/// have enough places; the flattest places of each bin are used.
 fn spread(seen: &[&Places], channel: usize, count: usize) -> Vec<Sample> {
     let mut bins: [Vec<(f64, usize)>; BINS] = Default::default();
     let all: Vec<_> = seen.iter().flat_map(|seen| seen.places.iter().map(|place| (place, &seen.frames))).collect();

@@ -46,7 +46,7 @@ fn curve_of_a_bracket_is_recovered_and_grey_stays_grey() {
     let (srgb, n) = (ResponseCurve::srgb(), 236.0);
     for c in 0..3 {
         let d = |z: usize| stops(curve.ln_exposure(c)[z] - srgb.ln_exposure(c)[z]);
-        // A shift common to the channels does not matter; 0.05 stops are 3.5 %.
+        // A shift that is common to all channels does not matter. The tolerance of 0.05 stops is 3.5 %.
         let mean = (10..=245).map(|z| stops(curve.ln_exposure(1)[z] - srgb.ln_exposure(1)[z])).sum::<f64>() / n;
         let rms = ((10..=245).map(|z| (d(z) - mean) * (d(z) - mean)).sum::<f64>() / n).sqrt();
         assert!(rms < 0.05, "channel {c}: {rms} stops");
@@ -112,7 +112,8 @@ fn brackets_of_one_camera_give_a_better_curve_together() {
     let (both, report, _) = recover_from(&[&dark, &bright], &ResponseModel::default()).unwrap();
     assert!(report.fallback.is_none() && off(&both) < 0.03, "{} {report:?}", off(&both));
     let (reversed, ..) = recover_from(&[&bright, &dark], &ResponseModel::default()).unwrap();
-    // The curves are not equal: sums are in another order, and other places may be drawn among equally flat ones.
+    // The two curves need not be equal: sums are in another order, and other places may be drawn among equally flat
+    // ones.
     assert!((off(&reversed) - off(&both)).abs() < 0.01);
     let (none, report, _) = recover_from(&[], &ResponseModel::default()).unwrap();
     assert!(none == ResponseCurve::srgb() && report.fallback.is_some());

@@ -1,8 +1,9 @@
-//! TIFF files: what the `tiff` crate does not do before and while it decodes, for photographs and radiance maps.
+//! Preparation of TIFF files (photographs and radiance maps) for the `tiff` crate, which does not do these steps
+//! itself.
 //!
 //! In: a file. Out: the selected picture, bytes that the crate reads correctly, and the samples of the picture,
-//! interleaved. Cost: reading each directory; one copy of the samples. Source: TIFF 6.0 (sections 2, 8 and 15);
-//! libtiff, `tif_read.c`, for FillOrder; TIFF/EP and DNG for the tags of camera raw files.
+//! interleaved. Cost: each directory is read, and the samples are copied once. Source: TIFF 6.0 (sections 2, 8 and
+//! 15); libtiff, `tif_read.c`, for FillOrder; TIFF/EP and DNG for the tags of camera raw files.
 
 mod samples;
 
@@ -26,14 +27,14 @@ const DNG_VERSION: u16 = 50706;
 /// The photometric interpretation of grey whose 0 is black (TIFF 6.0, section 8).
 const BLACK_IS_ZERO: u8 = 1;
 
-/// Numbers of the JPEG compressions. The bits of their data are never reversed (libtiff's TIFF_NOBITREV).
+/// Values of the tag Compression for JPEG. The bits of JPEG data are never reversed (libtiff's TIFF_NOBITREV).
 const JPEGS: [u64; 2] = [6, 7];
 
 /// Largest number of directories (IFDs) that are read. Each describes one picture of the file, and only one picture is
 /// used.
 const MOST_DIRECTORIES: usize = 64;
 
-/// Length of a text, in bytes, above which the crate rejects it and prints a message.
+/// Length of a text tag, in bytes, above which the `tiff` crate rejects the text and prints a message.
 const LONGEST_TEXT: u64 = 256 << 20;
 
 /// An entry of a directory.
@@ -90,7 +91,8 @@ impl<R: Read + Seek> Directories<R> {
         Some(number(&bytes, self.is_little))
     }
 
-    /// Returns where in the header the offset of the first directory is stored, and in how many bytes.
+    /// Returns the position in the file header at which the offset of the first directory is stored, and the number
+    /// of bytes of this offset.
     fn offset(&self) -> (u64, usize) {
         if self.is_big { (8, 8) } else { (4, 4) }
     }
@@ -114,7 +116,7 @@ impl<R: Read + Seek> Directories<R> {
         Some(Directory { at, entries: entries.collect(), next: number(next, self.is_little) })
     }
 
-    /// Returns the directories of the file's pictures in order, up to the first damaged one.
+    /// Returns the directories of the file's pictures in order, up to the first damaged directory.
     fn pictures(&mut self) -> Vec<Directory> {
         let (at, word) = self.offset();
         let mut found: Vec<Directory> = Vec::new();
@@ -127,7 +129,7 @@ impl<R: Read + Seek> Directories<R> {
         found
     }
 
-    /// Returns the integers of the entry `tag`, if it has any.
+    /// Returns the values of the entry `tag`, if the entry exists and its type is an integer.
     fn numbers(&mut self, directory: &Directory, tag: u16) -> Option<Vec<u64>> {
         let entry = directory.entry(tag)?;
         let size = match entry.kind {
@@ -158,8 +160,8 @@ fn number(bytes: &[u8], is_little: bool) -> u64 {
     if is_little { bytes.iter().rev().fold(0, add) } else { bytes.iter().fold(0, add) }
 }
 
-/// Returns the size in bytes of a value of the type `kind` (TIFF 6.0, section 2; BigTIFF); the largest size for unknown
-/// types.
+/// Returns the size in bytes of a value of the type `kind` (TIFF 6.0, section 2; BigTIFF). For unknown types it
+/// returns the largest size, 8.
 fn size_of_kind(kind: u16) -> u64 {
     match kind {
         1 | 2 | 6 | 7 => 1,
@@ -174,18 +176,18 @@ fn size_of_kind(kind: u16) -> u64 {
 pub(crate) struct Picture {
     /// Index among the file's pictures.
     pub index: usize,
-    /// Number of undamaged pictures in the file.
+    /// Number of pictures in the file, up to the first damaged directory.
     pub count: usize,
     /// Offset of its directory in the file.
     at: u64,
-    /// Whether the file seems to be a camera raw: a mosaic, or thumbnails without a picture.
+    /// Whether the file seems to be a camera raw file: it has a mosaic, it has only thumbnails, or it is a DNG.
     pub is_raw: bool,
 }
 
-/// Returns the first picture of the file that is not a thumbnail of another.
+/// Returns the first picture of the file that is not a thumbnail; the first thumbnail if there is no other picture.
 ///
 /// # Errors
-/// The reason, if a directory is damaged.
+/// The reason, if the first directory is damaged or a text is impossibly long.
 pub(crate) fn picture(reader: impl Read + Seek) -> Result<Picture, Reason> {
     let damaged = || Reason::from("all of its directories of tags are damaged; copy the file again");
     let mut file = Directories::of(reader).ok_or_else(damaged)?;
@@ -220,8 +222,8 @@ pub(crate) fn put_first(bytes: &mut [u8], picture: Picture) {
     bytes[at..at + word].copy_from_slice(if is_little { &offset[..word] } else { &offset[8 - word..] });
 }
 
-/// Reverses the bits of each byte of the first picture's data if its FillOrder is 2. The crate does not know the tag.
-/// If the directory is damaged nothing is changed, and the crate reports it.
+/// Reverses the bits of each byte of the first picture's data if its FillOrder is 2. The `tiff` crate does not know
+/// this tag. If the directory is damaged, nothing is changed, and the crate will report the damage.
 pub(crate) fn order_bits(bytes: &mut [u8]) {
     let ranges = || {
         let mut file = Directories::of(Cursor::new(&*bytes))?;
@@ -238,7 +240,7 @@ pub(crate) fn order_bits(bytes: &mut [u8]) {
         ranges.sort_unstable();
         Some(ranges)
     };
-    // Strips may share bytes: each byte is reversed once.
+    // Strips may share bytes, but each byte must be reversed only once.
     let mut done = 0;
     for (offset, count) in ranges().unwrap_or_default() {
         let end = usize::try_from(offset.saturating_add(count)).map_or(bytes.len(), |end| end.min(bytes.len()));
@@ -248,10 +250,10 @@ pub(crate) fn order_bits(bytes: &mut [u8]) {
     }
 }
 
-/// Sets the photometric interpretation of the first picture to grey, and returns the original value. Then the crate
-/// decodes all samples as stored, of any meaning and number, and applies the predictor to the right samples. Without
-/// this change the crate does not read palettes, LogLuv and grey with alpha, and reads extra samples incorrectly. If
-/// the directory is damaged nothing is changed, and the crate reports it.
+/// Sets the photometric interpretation of the first picture to grey, and returns the original value. The `tiff` crate
+/// then decodes all samples as they are stored, whatever their meaning and number, and applies the predictor to the
+/// right samples. Without this change, the crate cannot read palettes, LogLuv and grey with alpha, and reads extra
+/// samples incorrectly. If the directory is damaged, nothing is changed, and the crate will report the damage.
 pub(crate) fn as_grey(bytes: &mut [u8]) -> Option<u16> {
     let mut file = Directories::of(Cursor::new(&*bytes))?;
     let (at, word) = file.offset();
@@ -266,7 +268,7 @@ pub(crate) fn as_grey(bytes: &mut [u8]) -> Option<u16> {
     u16::try_from(photometric).ok()
 }
 
-/// Returns why the crate rejects a file, and the remedy.
+/// Returns the reason why the `tiff` crate rejects a file, and what the user can do.
 pub(crate) fn refusal(e: tiff::TiffError) -> Reason {
     match e {
         tiff::TiffError::UnsupportedError(what) => {

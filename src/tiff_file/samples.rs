@@ -1,6 +1,7 @@
 //! The samples of a picture, decoded by the `tiff` crate, strip by strip or tile by tile.
 //!
-//! In: a decoder. Out: samples, interleaved. Cost: that of the crate, and one copy. Source: TIFF 6.0 (section 15).
+//! In: a decoder. Out: samples, interleaved. Cost: that of the `tiff` crate, and one copy of the samples. Source:
+//! TIFF 6.0 (section 15).
 
 use super::{Reason, refusal};
 use crate::limits;
@@ -8,15 +9,16 @@ use std::io::{Read, Seek};
 use tiff::decoder::{Decoder, DecodingResult};
 use tiff::tags::Tag;
 
-/// Returns the first `wanted` samples of each pixel of the decoder's current picture, pixel by pixel, from strips,
-/// tiles or planes. Samples of fewer than 8 bits become bytes of the full range. The photometric interpretation must
-/// be [grey](super::as_grey).
+/// Returns the first `wanted` samples of each pixel of the decoder's current picture, pixel by pixel. The file may
+/// have strips, tiles or separate planes. Samples of fewer than 8 bits are scaled to the range 0..=255. The
+/// photometric interpretation must have been set to [grey](super::as_grey).
 ///
-/// The crate's function for a whole picture panics if tiles of a plane extend beyond the lower edge, and reports LZW
-/// tiles that extend beyond an edge as damaged. It reads single tiles correctly.
+/// The `tiff` crate's function for a whole picture is not used: it panics if tiles of a separate plane extend beyond
+/// the lower edge, and it reports LZW tiles that extend beyond an edge as damaged. The crate's function for a single
+/// tile reads both correctly.
 ///
 /// # Errors
-/// The reason.
+/// The reason why the samples cannot be read.
 pub(crate) fn samples<R: Read + Seek>(decoder: &mut Decoder<R>, wanted: usize) -> Result<DecodingResult, Reason> {
     let (width, height) = decoder.dimensions().map_err(refusal)?;
     let kind = decoder.colortype().map_err(refusal)?;
@@ -93,14 +95,14 @@ struct Place {
 }
 
 impl Place {
-    /// Returns a picture whose first part is `chunk`.
+    /// Returns a new picture that contains `chunk`; the other samples are 0.
     fn started<T: Copy + Default>(&self, chunk: &[T]) -> Result<Vec<T>, Reason> {
         let mut all = limits::room(self.size.0 * self.size.1 * self.wanted)?;
         self.put(chunk, &mut all);
         Ok(all)
     }
 
-    /// Copies a chunk. Pixels beyond the right or the lower edge are dropped.
+    /// Copies `chunk` into the picture `all`. Pixels beyond the right or the lower edge of the picture are dropped.
     fn put<T: Copy>(&self, chunk: &[T], all: &mut [T]) {
         let Place { size, wanted, per_chunk, corner, chunk_width, plane } = *self;
         let rows = all.chunks_exact_mut(size.0 * wanted).skip(corner.1);
@@ -120,7 +122,8 @@ impl Place {
     }
 }
 
-/// Converts samples of fewer than 8 bits, in rows of `count` samples padded to whole bytes, to bytes of the full range.
+/// Converts samples of `depth` bits (fewer than 8) to bytes in the range 0..=255. Each row has `count` samples and is
+/// padded to whole bytes.
 fn unpacked(packed: &[u8], count: usize, depth: u8) -> Vec<u8> {
     let depth = usize::from(depth.max(1));
     let max = (1u16 << depth) - 1;
@@ -130,7 +133,7 @@ fn unpacked(packed: &[u8], count: usize, depth: u8) -> Vec<u8> {
         .flat_map(|bytes| {
             (0..count).map(move |x| {
                 let bit = x * depth;
-                // Two bytes contain every sample, also one that crosses a byte boundary.
+                // Two consecutive bytes are read, because a sample may cross a byte boundary.
                 let next = bytes.get(bit / 8 + 1).copied().unwrap_or(0);
                 let word = u16::from_be_bytes([bytes[bit / 8], next]);
                 let value = (word >> (16 - depth - bit % 8)) & max;

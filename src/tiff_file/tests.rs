@@ -1,4 +1,4 @@
-//! Tests with files written entry by entry.
+//! Tests with TIFF files that are written entry by entry.
 
 use super::*;
 use tiff::decoder::{Decoder, DecodingResult};
@@ -9,7 +9,7 @@ pub(crate) type Entries = Vec<(u16, u16, Vec<u32>)>;
 /// Offset of the data of a [`file`].
 pub(crate) const DATA: u32 = 8;
 
-/// Returns a little-endian file: `data`, then the `directories`, each linked from the previous one.
+/// Returns a little-endian TIFF: the header, `data`, then the `directories`, each linked from the previous directory.
 pub(crate) fn file(data: &[u8], directories: &[Entries]) -> Vec<u8> {
     let mut bytes = [b"II*\0", &[0; 4][..], data].concat();
     let mut link = 4;
@@ -78,7 +78,7 @@ fn decoded(bytes: &[u8]) -> Vec<u8> {
     }
 }
 
-/// The tiff crate's function for the whole picture panics on such a file.
+/// The `tiff` crate's function for a whole picture panics on such a file.
 #[test]
 fn tiles_of_planes_that_reach_beyond_the_edges_are_cut() {
     let (width, height) = (19_usize, 21_usize);
@@ -120,7 +120,7 @@ fn bits_are_turned_round_by_fill_order_once_and_never_those_of_jpeg() {
     let mut bytes = file(&turned, std::slice::from_ref(&lowest_first));
     order_bits(&mut bytes);
     assert_eq!(decoded(&bytes), picture);
-    // Both strips at the same offset.
+    // Both strips are at the same offset.
     let shared = with(lowest_first.clone(), (273, 4, vec![DATA, DATA]));
     let mut bytes = file(&turned, &[shared]);
     order_bits(&mut bytes);
@@ -149,7 +149,8 @@ fn first_picture_without_thumbnails_is_used_and_mosaics_are_raw() {
     assert!(which(&[with(rgb(5, 4, DATA), (50706, 1, vec![1, 4, 0, 0]))]).1);
     let mosaic = || with(rgb(5, 4, DATA), (262, 3, vec![32803]));
     assert!(which(&[mosaic()]).1 && which(&[thumbnail(), mosaic()]).1);
-    // The mosaic is in a subdirectory of the first directory, as in NEF: its directory is removed from the chain.
+    // The mosaic is in a subdirectory of the first directory, as in NEF files. For this, the second directory is
+    // removed from the chain of directories, and the tag SubIFDs of the first directory points to it.
     let mut bytes = file(&data, &[with(thumbnail(), (330, 4, vec![0x5555_5555])), mosaic()]);
     let mut directories = Directories::of(Cursor::new(&bytes)).unwrap();
     let chain = directories.pictures();
@@ -165,7 +166,7 @@ fn first_picture_without_thumbnails_is_used_and_mosaics_are_raw() {
     assert_eq!(decoded(&bytes), data);
 }
 
-/// The tiff crate would print a line that contains a path of the machine on which it was compiled.
+/// Otherwise the `tiff` crate would print a line that contains a path of the machine on which it was compiled.
 #[test]
 fn a_text_longer_than_any_file_is_refused_before_the_crate_sees_it() {
     let mut bytes = file(&[0; 60], &[with(rgb(5, 4, DATA), (271, 2, vec![65; 9]))]);
@@ -180,7 +181,8 @@ fn a_text_longer_than_any_file_is_refused_before_the_crate_sees_it() {
     }
 }
 
-/// If the photometric interpretation is RGB, the tiff crate decodes such files to wrong values, without an error.
+/// If the photometric interpretation stayed RGB, the `tiff` crate would decode such files to wrong values, without an
+/// error.
 #[test]
 fn extra_samples_are_left_out_with_a_predictor_or_without() {
     let picture: Vec<u8> = (0..5 * 5 * 4).map(|i| (i * i % 251) as u8).collect();

@@ -3,9 +3,9 @@
 //! `mertens` fuses the aligned frames, without radiance or response; [`natural`](super::natural) fuses exposures
 //! computed from the radiance.
 //!
-//! In: pictures of one size as code values. Out: one picture. Cost: 0.25 us a pixel and picture on two cores; 43 to 53
-//! bytes a pixel, whatever the number of pictures. Source: Mertens, Kautz, Van Reeth, "Exposure Fusion" (2007),
-//! sections 3.1 (quality measures) and 3.2 (fusion), equations 1 to 5.
+//! In: frames of one size, as code values. Out: the fused picture. Cost: 0.25 us for each pixel of each frame, on two
+//! cores. Memory: 43 to 53 bytes for each pixel of the result, for any number of frames. Source: Mertens, Kautz, Van
+//! Reeth, "Exposure Fusion" (2007), sections 3.1 (quality measures) and 3.2 (fusion), equations 1 to 5.
 
 use super::settings::Setting;
 use crate::error::Result;
@@ -32,7 +32,7 @@ impl Default for Options {
 }
 
 impl Options {
-    /// The settings by name.
+    /// Returns the settings, each with its name, range and description.
     pub fn settings(&mut self) -> Vec<Setting<'_>> {
         vec![
             Setting::number(
@@ -52,14 +52,15 @@ impl Options {
     }
 }
 
-/// Standard deviation of the well-exposedness measure around 0.5 (section 3.1).
+/// Standard deviation of the Gaussian around code value 0.5 that measures well-exposedness (section 3.1), for code
+/// values 0..=1.
 const WELL_EXPOSED: f32 = 0.2;
 
 /// A frame: code values 0..=1 in three planes. Negative values mean that the frame does not cover the pixel.
 pub type Channels = [Plane<f32>; 3];
 
-/// Fuses `count` frames of one size. `frame` returns the frame with an index, and is called twice for each frame.
-/// Values are code values, 0..=1.
+/// Fuses `count` frames of one size. `frame` returns the frame with the given index, and is called twice for each
+/// index. Values are code values, 0..=1.
 ///
 /// # Errors
 /// Those of `frame`.
@@ -133,8 +134,8 @@ fn weights(channels: &Channels, options: &Options) -> Plane<f32> {
             let bell = |v: f32| bells[(v.clamp(0.0, 1.0) * 1024.0) as usize];
             let exposed = bell(red[x]) * bell(green[x]) * bell(blue[x]);
             let weight = power(contrast, options.contrast) * power(variance.sqrt(), options.saturation) * exposed;
-            // Flat grey has neither contrast nor saturation in any frame; the small terms let exposure alone decide
-            // there.
+            // A uniform grey area has neither contrast nor saturation in any frame. There the small terms let
+            // well-exposedness alone determine the weights.
             *w = if red[x] < 0.0 { 0.0 } else { weight + 1e-9 + 1e-6 * exposed };
         }
     })
@@ -192,7 +193,8 @@ mod tests {
         assert!((left - 0.5).abs() < 0.08 && (right - 0.5).abs() < 0.08, "{left} {right}");
     }
 
-    /// For flat frames the pyramids of section 3.2 give the same as a single level, a weighted mean.
+    /// For uniform frames, fusion with the pyramids of section 3.2 gives the same as fusion without pyramids: a
+    /// weighted mean.
     #[test]
     fn uniform_frames_give_their_weighted_mean_without_outside_pixels() {
         let frames = [flat([0.2, 0.3, 0.4], (40, 30)), flat([0.6, 0.5, 0.7], (40, 30)), flat([-1.0; 3], (40, 30))];

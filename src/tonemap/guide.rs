@@ -1,31 +1,32 @@
-//! Carries an operator's result from the grid of cells to the pixels: a linear function for every place, which maps the
-//! luminance of a pixel to its tone.
+//! Carries an operator's result from a coarse grid of cells to the pixels (a guided filter). Each cell has a linear
+//! function from log2 luminance to tone; at a pixel, the functions of the nearest cells are interpolated.
 //!
-//! In: log2 luminance l and tone v of every cell. Out: for every place a and b of v = a l + b, so that edges and all
-//! detail finer than a cell are those of the picture. Cost: 60 ns a cell; two linear interpolations a pixel. Source:
-//! He, Sun, Tang, "Guided Image Filtering" (2013), section 3.1, equations 5 and 6; the idea of computing small and
-//! applying large is that of Kopf, Cohen, Lischinski, Uyttendaele, "Joint Bilateral Upsampling" (2007).
+//! In: log2 luminance l and tone v of every cell. Out: slope a and offset b of v = a l + b for every pixel. Because l
+//! is the luminance of the pixel, edges and detail finer than a cell are kept. Cost: 60 ns per cell, and two linear
+//! interpolations per pixel. Source: He, Sun, Tang, "Guided Image Filtering" (2013), section 3.1, equations 5 and 6;
+//! the idea to compute at low resolution and to apply the result at full resolution is from Kopf, Cohen, Lischinski,
+//! Uyttendaele, "Joint Bilateral Upsampling" (2007).
 
 use crate::plane::Plane;
 use crate::pyramid::cells::{Mix, between_cells};
 
-/// A linear function for every place that maps log2 luminance l to tone v: v = a l + b.
+/// Linear functions v = a l + b from log2 luminance l to tone v, one for each cell.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Guide {
     /// Side of a cell in pixels.
     side: usize,
-    /// a and b of every cell; a single cell is valid everywhere.
+    /// a and b of every cell. If there is only one cell, its function is valid for the whole picture.
     lines: Plane<[f32; 2]>,
 }
 
-/// Radius of the window that a linear function is fitted to, in cells.
+/// Radius, in cells, of the window of cells to which a linear function is fitted.
 const REACH: usize = 2;
 
-/// Regularisation: variance of l, in square stops, at which the fitted slope and the slope for detail have equal
-/// weight.
+/// Regularisation of the fit: at this variance of l in the window, in square stops, the slope is the mean of two
+/// slopes: the one that fits best, and the one given for uniform areas.
 const REGULARISATION: f32 = 0.02;
 
-/// Largest slope, so that detail is not exaggerated; the smallest is 0.
+/// Largest slope a, so that detail is not exaggerated. The smallest slope is 0.
 const STEEPEST: f32 = 1.5;
 
 impl Guide {
@@ -34,8 +35,9 @@ impl Guide {
         Guide { side: 1, lines: Plane::filled(1, 1, [1.0, shift as f32]) }
     }
 
-    /// Fits lines that map the log2 luminances `logs` to `tones`, both of cells with a side of `side` pixels. Where the
-    /// scene is flat, the slope is `detail`. When cells are single pixels, the result is `tones` itself.
+    /// Fits linear functions from the log2 luminances `logs` to `tones`, which both have one value for each cell of
+    /// `side` x `side` pixels. Where luminance is uniform, the slope is `detail`. If cells are single pixels, the
+    /// result is `tones` itself.
     pub fn fitted(logs: &Plane<f32>, tones: &Plane<f32>, side: usize, detail: f32) -> Self {
         let (width, height) = (logs.width(), logs.height());
         if side == 1 || width * height == 1 {
@@ -46,14 +48,15 @@ impl Guide {
         Guide::regressed(logs, tones, side, detail, REGULARISATION)
     }
 
-    /// Smooths `values`, one for each cell of `side` x `side` pixels, and keeps edges. `half` is the variance at which
-    /// 50 % of a deviation from the surroundings is left. This is the guided filter of a picture by itself (section
-    /// 3.2).
+    /// Smooths `values`, one for each cell of `side` x `side` pixels, and keeps edges. `half` is the variance of the
+    /// values around a cell at which 50 % of the cell's deviation from their mean is kept. This is the guided filter
+    /// whose guide is the filtered picture itself (section 3.2).
     pub fn smoothed(values: &Plane<f32>, side: usize, half: f32) -> Self {
         Guide::regressed(values, values, side, 0.0, half)
     }
 
-    /// Fits lines by equations 5 and 6, with the slope regularised towards `slope` instead of 0.
+    /// Fits linear functions by equations 5 and 6. The slope is regularised towards `slope`, instead of towards 0 as in
+    /// the paper.
     fn regressed(from: &Plane<f32>, to: &Plane<f32>, side: usize, slope: f32, regularisation: f32) -> Self {
         let (width, height) = (from.width(), from.height());
         let moments = Plane::from_rows(width, height, |y, row| {
@@ -72,13 +75,14 @@ impl Guide {
         Guide { side, lines: box_mean(&lines) }
     }
 
-    /// Writes a and b for row `y` of the picture, one pair for each column of cells, to `row`.
+    /// Writes a and b at row `y` of the picture to `row`: one pair for each column of cells, and a copy of the last
+    /// pair.
     pub fn row(&self, y: usize, row: &mut Vec<[f32; 2]>) {
         self.row_of(&self.lines, y, row);
     }
 
-    /// Writes the values of `plane`, which has the cells of the guide, at row `y` of the picture to `row`: one for each
-    /// column of cells, and a copy of the last.
+    /// Interpolates `plane`, which has one value for each cell of the guide, at row `y` of the picture. Writes the
+    /// results to `row`: one for each column of cells, and a copy of the last.
     pub fn row_of<T: Mix>(&self, plane: &Plane<T>, y: usize, row: &mut Vec<T>) {
         let (first, second, part) = between_cells(y, self.side, plane.height());
         row.clear();
@@ -88,7 +92,7 @@ impl Guide {
         row.extend(row.last().copied());
     }
 
-    /// Returns the position of each of `width` pixels in a row that [`row`](Self::row) writes.
+    /// Returns, for each of `width` pixels, its position in a row that [`row`](Self::row) writes.
     pub fn columns(&self, width: usize) -> Columns {
         (0..width)
             .map(|x| {
@@ -99,7 +103,8 @@ impl Guide {
     }
 }
 
-/// For each pixel of a row, its cell and the fraction of the way to the next cell.
+/// For each pixel of a row: the index of a column of cells, and the fraction of the way from its centre to the centre
+/// of the next column.
 pub type Columns = (Vec<u32>, Vec<f32>);
 
 /// Interpolates the slopes and offsets in `row` at the pixels from column `x` on.
@@ -111,7 +116,8 @@ pub fn interpolated(columns: &Columns, x: usize, row: &[[f32; 2]]) -> impl Itera
     })
 }
 
-/// Returns the means over squares of 2 REACH + 1 cells; cells beyond the border equal the border cell.
+/// Returns for each cell the mean over the square around it, whose side is 2 REACH + 1 cells. Beyond the border, the
+/// border cells are repeated.
 fn box_mean<const N: usize>(plane: &Plane<[f32; N]>) -> Plane<[f32; N]>
 where
     [f32; N]: Default,
@@ -141,9 +147,9 @@ where
 mod tests {
     use super::*;
 
-    /// A scene with an edge and texture, on cells of 4 pixels, with tones that are a curve of luminance: at the pixels
-    /// the curve is recovered within a few hundredths of a stop. On the edge, 5 stops high, a line deviates from the
-    /// curve by up to 0.02 (5 / 2)^2 = 0.125.
+    /// The scene has an edge and texture, cells have 4 x 4 pixels, and tones are a quadratic function of luminance. At
+    /// the pixels this function is recovered within 0.1 stops. For comparison: a straight line across the edge of 5
+    /// stops deviates from it by up to 0.02 (5 / 2)^2 = 0.125.
     #[test]
     fn lines_carry_a_curve_to_the_pixels() {
         let pixel = |x: usize, y: usize| if x > 150 { 3.0 } else { -2.0 } + 0.3 * ((x * 5 + y * 3) as f32 * 0.1).sin();

@@ -3,8 +3,8 @@
 //! In: a [`RadianceMap`] in any unit and primaries, whole or row by row. Out: a [`DisplayImage`] (8-bit sRGB) or rows
 //! of [`codes`](display::codes). Each [`Operator`] implements a published operator in a file of [`operators`], or is
 //! [`natural`]. It analyses an `overview` of the whole scene, a grid of at most a million cells, and returns `tones`,
-//! which map the rows. All operators share gamut mapping and encoding, and all but `natural` the treatment of colour:
-//! see `tones`, [`display`] and [`codes`](display::codes). Cost: see each operator.
+//! which map the rows. All operators share the encoding, and all but `natural` share the treatment of colour and the
+//! gamut mapping: see `tones`, [`display`] and [`codes`](display::codes). Cost: see each operator.
 
 pub mod adjust;
 pub mod display;
@@ -176,9 +176,9 @@ impl Rendering {
 /// Tone-maps `radiance` with `operator`.
 ///
 /// `photographed` describes the photographs that the radiance was merged from, if they are known. The
-/// [settings](Operator::settings) of the operator must be within their ranges. A factor on the radiance does not change
-/// the picture, unless a setting fixes the scale, the radiance is uniform, or the radiances in `photographed`, which
-/// [`natural`] uses, are not multiplied by the same factor.
+/// [settings](Operator::settings) of the operator must be within their ranges. Multiplying the radiance by a factor
+/// does not change the picture, with three exceptions: a setting fixes the scale; the radiance is uniform; or
+/// [`natural`] is used with radiances in `photographed` that are not multiplied by the same factor.
 pub fn tonemap(radiance: &RadianceMap, photographed: Option<Photographed>, operator: &Operator) -> DisplayImage {
     let pixels = &radiance.pixels;
     let mut overview = Overview::new((pixels.width(), pixels.height()), &radiance.primaries).photographed(photographed);
@@ -204,8 +204,8 @@ mod tests {
         }
     }
 
-    /// Found by the property tests: for luminances above 2^127 times the key the local shoulder function gave NaN,
-    /// and so did the index of the tone table.
+    /// A property test found this error: for luminances above 2^127 times the key, the local shoulder function gave
+    /// NaN, and the index into the tone table was computed from this NaN.
     #[test]
     fn extreme_floats_give_a_picture() {
         let ends = [[f32::MAX; 3], [1e-45; 3], [1.0; 3], [1e-30, 1.0, f32::MAX], [0.0; 3], [1e30, 1e-30, 0.0]];
@@ -219,8 +219,8 @@ mod tests {
         }
     }
 
-    /// By hand: radiance 1 has the middle code value, which is 0.2159 of display white. So white begins at 1 / 0.2159 =
-    /// 4.63, and code value 1 at 0.00015 / 0.2159 = 0.0007.
+    /// The expected values are computed by hand. Radiance 1 has the middle code value, which is 0.2159 of display
+    /// white. So white begins at 1 / 0.2159 = 4.63, and code value 1 at 0.00015 / 0.2159 = 0.0007.
     #[test]
     fn uniform_scene_keeps_the_colour_of_the_photographs() {
         for operator in Operator::iter() {

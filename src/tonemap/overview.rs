@@ -1,8 +1,8 @@
 //! Overview of a scene: the statistics that an operator needs before it can map the first row.
 //!
 //! In: radiance rows, from top to bottom, in portions of any height. Out: a [`Scene`]: mean luminance and colour on a
-//! grid of square cells, and a sample of the luminances. Cost: 4 ns a pixel and core. Memory: at most [`MOST_CELLS`]
-//! cells, however large the picture is.
+//! grid of square cells, and a sample of the luminances. Cost: 4 ns of core time per pixel. Memory: at most
+//! [`MOST_CELLS`] cells, however large the picture is.
 
 use super::display::{LUMINANCE, ToSrgb, luminance};
 use crate::bracket::colour::Primaries;
@@ -11,10 +11,11 @@ use crate::plane::Plane;
 use crate::simd::{Loops, at_least, at_most, log2, vectorised};
 use rayon::prelude::*;
 
-/// Largest number of cells. Smaller pictures have one cell per pixel; operators may use fewer.
+/// Largest number of cells. Pictures with fewer pixels have one cell per pixel. Operators may use coarser grids.
 pub const MOST_CELLS: usize = 1 << 20;
 
-/// Largest number of sampled luminances: enough for percentiles within a tenth of a percent.
+/// Approximate largest number of sampled luminances. It is enough for percentiles that are exact to a tenth of a
+/// percent.
 const SAMPLES: usize = 1 << 18;
 
 /// Collects the overview of a scene while its rows arrive.
@@ -58,14 +59,14 @@ impl Overview {
         Overview { photographed, ..self }
     }
 
-    /// Shows light of the chromaticity `light` (CIE xy, relative to D65) as white; `primaries` are those of the
-    /// radiance.
+    /// Sets the conversion of colours such that light of the chromaticity `light` (CIE xy, relative to D65) becomes
+    /// white. `primaries` are those of the radiance.
     pub fn balanced(self, primaries: &Primaries, light: [f64; 2]) -> Self {
         Overview { to_srgb: ToSrgb::balanced(primaries, light), ..self }
     }
 
-    /// Adds the rows `pixels`, the first of which is row `first` of the picture. The result does not depend on the
-    /// portions, because each cell sums its pixels in order.
+    /// Adds the rows `pixels`, the first of which is row `first` of the picture. The result does not depend on how many
+    /// rows each call adds, because each cell sums its pixels in order.
     pub fn see(&mut self, first: usize, pixels: &Plane<[f32; 3]>) {
         let (side, step, to_srgb) = (self.side, self.step, self.to_srgb);
         let (width, end) = (pixels.width(), first + pixels.height());
@@ -112,7 +113,7 @@ impl Overview {
         let cells = cells.into_vec();
         let lit = || cells.iter().filter(|c| c[3] > 0.0).map(|c| c[0] / c[3]);
         if sample.is_empty() {
-            // None of the few lit pixels is in the sample.
+            // Few pixels are lit, and none of them was sampled.
             sample.extend(lit());
         }
         let darkest = lit().min_by(f32::total_cmp)?;
@@ -127,8 +128,8 @@ impl Overview {
     }
 }
 
-/// Largest range, in stops, of a scene that counts as uniform: noise and rounding stay below it; the falloff of light
-/// towards the corners of a picture exceeds it.
+/// Largest range, in stops, of a scene that counts as uniform. The range of noise and rounding is smaller; that of the
+/// falloff of light towards the corners of a picture (vignetting) is larger.
 const UNIFORM_STOPS: f32 = 0.25;
 
 /// Value that stands for the log2 luminance of a pixel without light.
@@ -154,7 +155,7 @@ impl Loops for Logs<'_> {
             let is_lit = (f32::MIN_POSITIVE..=f32::MAX).contains(&l);
             let value = log2(l);
             *log = if is_lit { value } else { UNLIT };
-            // At most the ratios of pure red and pure blue.
+            // The ratios are at most those of pure red and pure blue.
             let ratio = |c: f32, i: usize| at_most(at_least(c / l, 0.0), 1.0 / LUMINANCE[i]);
             *ratios = if is_lit { [ratio(rgb[0], 0), ratio(rgb[2], 2)] } else { [0.0; 2] };
         }
@@ -162,8 +163,8 @@ impl Loops for Logs<'_> {
 }
 
 /// Returns the value below which a share `p` of `sorted` lies; `sorted` is ascending and not empty. With five values or
-/// more at least one value lies beyond the result at either end, so that a single outlier does not decide, however
-/// small the picture.
+/// more, at least one value lies beyond the result at either end. So a single outlier does not determine the result,
+/// even in a small picture.
 pub fn quantile(sorted: &[f32], p: f64) -> f32 {
     let last = sorted.len() - 1;
     let place = last as f64 * p;
@@ -181,7 +182,7 @@ pub struct Scene {
     pub size: (usize, usize),
     /// Side of a cell in pixels; cells at the right and lower border may be smaller.
     pub side: usize,
-    /// Mean log2 luminance of each cell; cells without light have the value of the darkest other cell.
+    /// Mean log2 luminance of each cell; cells without light have the value of the darkest lit cell.
     pub logs: Plane<f32>,
     /// Mean of red divided by luminance, and of blue divided by luminance, in each cell, in linear sRGB.
     pub colours: Plane<[f32; 2]>,
@@ -211,15 +212,15 @@ impl Scene {
         sum / self.sample.len() as f64
     }
 
-    /// Returns the log2 luminances of the cells, raised to at least one stop below the 0.1th percentile: darker
-    /// differences are noise, not contrast.
+    /// Returns the log2 luminances of the cells. Values more than one stop below the 0.1th percentile are raised to
+    /// that level, because the differences between them are noise, not contrast.
     pub fn lit(&self) -> Plane<f32> {
         let dark = self.percentile(0.001) as f32 - 1.0;
         let lit = self.logs.as_slice().iter().map(|l| l.max(dark)).collect();
         Plane::from_vec(self.logs.width(), self.logs.height(), lit)
     }
 
-    /// Returns the scene on a grid of at most `cells` cells, each made of a square of present cells.
+    /// Returns the scene on a coarser grid of at most `cells` cells; each new cell combines a square of old cells.
     pub fn coarser(&self, cells: usize) -> Scene {
         let (width, height) = (self.logs.width(), self.logs.height());
         let mut by = 1;

@@ -1,12 +1,13 @@
 //! Downscaling row by row, in linear light, so that fine bright detail keeps its brightness.
 //!
 //! In: rows of light or radiance, from the first to the last, in portions of any size. Out: rows of the smaller picture
-//! as they become complete. Cost: 25 ns a pixel, over all threads. Memory: about 75 bytes for each input column, and
-//! the portion. Source: Turkowski, "Filters for Common Resampling Tasks", Graphics Gems I (1990): Lanczos' kernel with
-//! three lobes, scaled to the pixels of the smaller picture, applied along one axis after the other.
+//! as they become complete. Cost: 25 ns per pixel, summed over all threads. Memory: about 75 bytes for each input
+//! column, and the rows of one portion. Source: Turkowski, "Filters for Common Resampling Tasks", Graphics Gems I
+//! (1990): Lanczos' kernel with three lobes, scaled to the pixels of the smaller picture, applied along one axis after
+//! the other.
 //!
-//! Linear light has a large range: beside a window the negative lobes of the kernel would draw a black line. The result
-//! is therefore clamped to the range of the pixels under the kernel's main lobe.
+//! Linear light has a large range, so the negative lobes of the kernel would draw a black line beside a bright window.
+//! The result is therefore clamped to the range of the pixels under the kernel's main lobe.
 
 use crate::align::resampling::lanczos::lanczos3;
 use rayon::prelude::*;
@@ -26,7 +27,7 @@ struct Taps {
 }
 
 impl Taps {
-    /// Scales `from` pixels to `to`, which is not larger.
+    /// Computes the weights that scale `from` pixels to `to` pixels; `to` is not larger than `from`.
     fn new(from: usize, to: usize) -> Self {
         let step = from as f64 / to as f64;
         let (mut places, mut weights) = (Vec::with_capacity(to), Vec::new());
@@ -81,7 +82,7 @@ pub struct Resizer {
     width: usize,
     columns: Taps,
     rows: Taps,
-    /// Rows of the picture from row `first` on, already scaled to the output width.
+    /// Input rows from row `first` on, already scaled to the output width.
     lines: VecDeque<Vec<[f32; 3]>>,
     first: usize,
     /// Number of output rows that were returned.
@@ -89,7 +90,8 @@ pub struct Resizer {
 }
 
 impl Resizer {
-    /// Scales a picture of `from` pixels to `to` pixels; no side of `to` is longer than that of `from`, or 0.
+    /// Prepares to scale a picture of the size `from` to the size `to`. Width and height of `to` are not 0, and not
+    /// greater than those of `from`.
     pub fn new(from: (usize, usize), to: (usize, usize)) -> Self {
         let (columns, rows) = (Taps::new(from.0, to.0), Taps::new(from.1, to.1));
         Resizer { width: from.0, columns, rows, lines: VecDeque::new(), first: 0, done: 0 }
@@ -112,7 +114,7 @@ impl Resizer {
         self.first = needed;
     }
 
-    /// Computes output row `y`, all input rows of which are present.
+    /// Computes output row `y`. All input rows that it depends on must be in `lines`.
     fn row(&self, y: usize, to: &mut [[f32; 3]]) {
         let (seen, first, lobe) = &self.rows.places[y];
         let line = |j: usize| self.lines[j - self.first].as_flattened();
@@ -166,13 +168,15 @@ mod tests {
             let whole = resized(&picture, to, 173);
             assert!([1, 5, 64].iter().all(|&portion| resized(&picture, to, portion) == whole), "{to:?}");
         }
-        // At the same size each pixel has only one weight that is not 0, except for the rounding of sines.
+        // If the size does not change, each pixel has one weight of 1, and its other weights are 0 up to the rounding
+        // of sines.
         let same = resized(&picture, (61, 173), 64);
         let off = same.as_flattened().iter().zip(picture.as_slice().as_flattened()).map(|(a, b)| (a - b).abs());
         assert!(off.fold(0.0, f32::max) < 1e-3, "the same size is the same picture");
     }
 
-    /// A uniform picture keeps its value and a ramp its slope; an edge of 1 : 1000 has no line beside it.
+    /// A uniform picture keeps its value and a ramp its slope; an edge with a ratio of 1 : 1000 has no dark or bright
+    /// line beside it.
     #[test]
     fn light_is_kept_and_edges_do_not_ring() {
         for to in [(150, 90), (77, 31), (40, 13)] {
@@ -186,7 +190,8 @@ mod tests {
             let edge = resized(&picture(200, 120, |x, y| if x + y > 150 { 1.0 } else { 0.001 }), to, 64);
             assert!(edge.iter().all(|p| (0.001..=1.0).contains(&p[0])), "{to:?}");
         }
-        // A grating too fine for the smaller picture becomes its mean; picking single pixels would make stripes.
+        // A grating that is too fine for the smaller picture becomes uniform, with the mean of the grating. Without
+        // filtering it would become stripes.
         let grating = resized(&picture(240, 240, |x, _| if x % 3 == 0 { 1.0 } else { 0.0 }), (60, 60), 64);
         assert!(
             grating.iter().skip(60 * 30 + 5).take(50).all(|p| (p[0] - 1.0 / 3.0).abs() < 0.02),

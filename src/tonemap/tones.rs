@@ -2,8 +2,9 @@
 //!
 //! In: a `Guide` from luminance l (log2) to tone v, and a [`Curve`] from tone to the luminance of the display. Out:
 //! rows of code values. Colour is handled the same way for all operators but `natural`: hue is kept in linear light,
-//! saturation is corrected for the loss of contrast, and colours outside the gamut are desaturated. Cost: 8 ns a pixel
-//! and core. Source: Mantiuk, Tomaszewska, Heidrich, "Color Correction for Tone Mapping" (2009), equations 3 and 5.
+//! saturation is corrected for the loss of contrast, and colours outside the gamut are desaturated. Cost: 8 ns of core
+//! time per pixel. Source: Mantiuk, Tomaszewska, Heidrich, "Color Correction for Tone Mapping" (2009), equations 3 and
+//! 5.
 
 use super::display::{ToSrgb, into_gamut, luminance};
 use super::guide::{Columns, Guide, interpolated};
@@ -15,14 +16,14 @@ use crate::simd::{Loops, at_least, at_most, floor32, integer32, log2, vectorised
 use crate::tonemap::display::codes::{Code, Encoder};
 use crate::tonemap::display::oklab;
 
-/// Number of entries of the curve per octave, between which it is interpolated linearly.
+/// Number of entries of the curve per octave. The curve is interpolated linearly between entries.
 const PER_OCTAVE: usize = 64;
 /// Number of octaves that the curve covers.
 const OCTAVES: usize = 48;
 /// Tone (log2) of the first entry of the curve.
 const FIRST: f32 = -24.0;
 
-/// Maps the tone v to the display.
+/// Maps the tone v (log2) to the luminance on the display and a factor on saturation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Curve {
     /// For every entry the luminance relative to display white, and the factor on saturation.
@@ -31,8 +32,8 @@ pub struct Curve {
 
 impl Curve {
     /// Tabulates a curve. `display` gives the luminance of a tone, 0..=1 and never decreasing. `contrast` gives the
-    /// slope of log display luminance with respect to log scene luminance, by which saturation is corrected.
-    /// `saturation` is a factor on the result of Mantiuk's fit.
+    /// slope of log display luminance with respect to log scene luminance; the correction of saturation (Mantiuk's
+    /// equation 5) is computed from it. `saturation` is a factor on the corrected saturation.
     pub fn new(display: impl Fn(f64) -> f64, contrast: impl Fn(f64) -> f64, saturation: f64) -> Self {
         let entry = |i| {
             let v = f64::from(FIRST) + i as f64 / PER_OCTAVE as f64;
@@ -53,7 +54,7 @@ impl Curve {
 #[inline(always)]
 fn place(v: f32) -> (u32, f32) {
     let most = (PER_OCTAVE * OCTAVES) as f32 - 0.01;
-    // NaN is sent to the first entry; the comparison keeps the loop vectorised.
+    // The comparison sends NaN to the first entry, and it keeps the loop vectorised.
     let scaled = (v - FIRST) * PER_OCTAVE as f32;
     let scaled = at_most(if scaled > 0.0 { scaled } else { 0.0 }, most);
     let whole = floor32(scaled);
@@ -159,7 +160,7 @@ impl Tones {
         let (mut light, mut tone) = ([0.0f32; BLOCK], [0.0f32; BLOCK]);
         let (mut display, mut share) = ([0.0f32; BLOCK], [0.0f32; BLOCK]);
         for i in 0..BLOCK {
-            // Clamped, so that everything that follows is finite.
+            // Channels are clamped, so that everything computed from them is finite.
             let [r, g, b] = self.to_srgb.apply([red[i], green[i], blue[i]]).map(|c| at_most(c, 1e37));
             (red[i], green[i], blue[i]) = (r, g, b);
             light[i] = luminance([r, g, b]);
@@ -212,7 +213,7 @@ impl Tones {
         }
         for channel in [red, green, blue] {
             for (c, light) in channel.iter_mut().zip(&light) {
-                // No light, or NaN, is black.
+                // A pixel without light, or with NaN, is black.
                 *c = if *light >= f32::MIN_POSITIVE { *c } else { 0.0 };
             }
         }
@@ -274,9 +275,9 @@ mod tests {
         Tones::new(ToSrgb::from(&Primaries::SRGB), guide, curve, 500)
     }
 
-    /// Compared with the equations of the papers in `f64`. The tolerance is half a code value, which is at most 0.0045
-    /// of linear light. Other errors are far smaller: curves are interpolated over 1/64 stop, (ln 2 / 64)^2 / 8 =
-    /// 1.5e-5 of a value, and the logarithm is within 2e-7 for values below 8.
+    /// The expected values are computed by the equations of the papers in `f64`. The tolerance is half a code value,
+    /// which is at most 0.0045 of linear light. Other errors are far smaller: interpolation of the curve over 1/64 stop
+    /// has a relative error of (ln 2 / 64)^2 / 8 = 1.5e-5, and logarithms below 8 have errors of 2e-7.
     #[test]
     fn pixels_are_those_of_the_papers() {
         let map = ramp();

@@ -1,7 +1,8 @@
-//! Aligned frames: each merged frame on the grid of the reference, as TIFF with the depth of the frame.
+//! Writes the aligned frames: each merged frame, resampled to the pixel grid of the reference frame, as TIFF with the
+//! bit depth of the frame.
 //!
-//! In: a bracket and its alignment. Out: one file per frame, named `PREFIX` and the name of the frame; black outside of
-//! the frame. Cost: one resampling of every frame, in bands.
+//! In: a bracket and its alignment. Out: one file per frame, named `PREFIX` followed by the name of the frame. Pixels
+//! outside of the frame are black. Cost: one resampling of every frame, in bands.
 
 use super::metadata::Metadata;
 use super::row_writer::RowWriter;
@@ -15,7 +16,8 @@ use crate::plane::BAND_ROWS;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
-/// Returns the name of the saved frame of `image`: `prefix`, its name without the extension, `.tif`.
+/// Returns the path of the aligned frame of `image`: `prefix`, the file name of `image` without its extension, and
+/// `.tif`.
 fn name(prefix: &Path, image: &Path) -> PathBuf {
     let mut name = prefix.as_os_str().to_os_string();
     name.push(image.file_stem().unwrap_or_default());
@@ -23,10 +25,10 @@ fn name(prefix: &Path, image: &Path) -> PathBuf {
     PathBuf::from(name)
 }
 
-/// Returns the names of the saved frames of `images`.
+/// Returns the paths of the aligned frames of `images`.
 ///
 /// # Errors
-/// [`Error::Option`] if two would have the same name.
+/// [`Error::Option`] if two frames would have the same path.
 pub fn names(prefix: &Path, images: &[PathBuf]) -> Result<Vec<PathBuf>> {
     let names: Vec<PathBuf> = images.iter().map(|image| name(prefix, image)).collect();
     for (i, name) in names.iter().enumerate() {
@@ -40,7 +42,7 @@ pub fn names(prefix: &Path, images: &[PathBuf]) -> Result<Vec<PathBuf>> {
     Ok(names)
 }
 
-/// Writes the part `region` of every merged frame of `bracket`, each with the `metadata` of its photograph.
+/// Writes every merged frame of `bracket`, cut to `region` of the reference grid, with the `metadata` of the frame.
 ///
 /// # Errors
 /// [`Error::Write`], [`Error::Scratch`].
@@ -72,7 +74,7 @@ pub fn write(
     Ok(files)
 }
 
-/// Number of bands that are resampled before they are written.
+/// Number of bands that are resampled in parallel before they are written.
 const BANDS_AT_ONCE: usize = 8;
 
 fn push<T: Copy + Send + Sync>(

@@ -1,12 +1,13 @@
 //! Bands: encodes rows in parallel and writes them in order.
 //!
 //! In: rows in order, in portions of any size. Out: fixed bands of 64 rows, encoded in parallel and written in order,
-//! so that the file depends neither on the portions nor on the threads. Cost: a copy of rows that do not fill a band;
-//! about one encoded band per thread in memory, 16 if the disk is slower than the encoder. Buffers are reused.
+//! so that the file depends neither on the size of the portions nor on the number of threads. Cost: rows that do not
+//! fill a band are copied. Memory: about one encoded band per thread, or about 16 if the disk is slower than the
+//! encoder. Buffers are reused.
 //!
-//! Every thread takes the next band. A thread that has encoded one writes all bands that are next in order, unless
-//! another thread is writing; the others continue to encode. No thread waits for another unless [`MOST_WAITING`] bands
-//! wait for the disk.
+//! Every thread takes the next band and encodes it. The thread then writes all encoded bands that are next in order,
+//! unless another thread is already writing. Meanwhile, the other threads continue to encode. A thread waits for the
+//! writing thread only if [`MOST_WAITING`] encoded bands wait for the disk.
 
 use crate::error::Result;
 use crate::plane::BAND_ROWS;
@@ -16,17 +17,17 @@ use std::io;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Largest number of encoded bands that wait for the disk before encoders wait; limits the memory, and does not
-/// affect the bytes.
+/// If this number of encoded bands waits for the disk, the encoding threads wait too. This limits the memory and does
+/// not change the bytes of the file.
 const MOST_WAITING: usize = 16;
 
-/// Divides rows into the fixed bands, encodes these in parallel and passes the results on in order. `S` is the
-/// scratch data of an encoder, kept from band to band to reuse its buffers.
+/// Divides rows into bands of 64 rows, encodes the bands in parallel and passes the encoded bytes on in order. `S` is
+/// the scratch data of an encoder, which is kept from band to band to reuse its buffers.
 #[derive(Debug)]
 pub(super) struct Bands<P, S = ()> {
     pub(super) width: usize,
     pub(super) height: usize,
-    /// Number of rows that were passed to encoders; always the start of a band, or the end.
+    /// Number of rows that were passed to encoders: always the start of a band, or the height.
     done: usize,
     rest: Vec<P>,
     scratch: Mutex<Vec<S>>,
@@ -39,8 +40,9 @@ impl<P: Copy + Send + Sync, S: Default + Send> Bands<P, S> {
         Bands { width, height, done: 0, rest: Vec::new(), scratch: Mutex::default(), spare: Vec::new() }
     }
 
-    /// Adds `rows`. `encode(first row, pixels, scratch, out)` appends each band to the empty `out`; `sink` receives
-    /// `out` in order, with the value that `encode` returns. The first error of `sink` ends the work.
+    /// Adds `rows`. `encode(first row, pixels, scratch, out)` encodes one band into the empty `out`. `sink` receives
+    /// the `out` of every band, in order, with the value that `encode` returned for the band. The first error of
+    /// `sink` ends the work.
     pub(super) fn push<R: Send>(
         &mut self,
         mut rows: &[P],
@@ -144,8 +146,8 @@ impl<R, F: FnMut(&[u8], R) -> Result<()>> Line<R, F> {
         buffer
     }
 
-    /// Queues an encoded band. Writes the bands that are next in order unless another thread is writing; waits for
-    /// that thread only if many bands wait.
+    /// Queues an encoded band. Then writes the bands that are next in order, unless another thread is writing; waits
+    /// for that thread only if [`MOST_WAITING`] bands are queued.
     fn hand_on(&self, number: usize, bytes: Vec<u8>, said: R) {
         let waiting = {
             let mut queue = locked(&self.queue);
@@ -188,7 +190,7 @@ impl<R, F: FnMut(&[u8], R) -> Result<()>> Line<R, F> {
     }
 }
 
-/// Locks `mutex`, also after a panic in another thread, which leaves no inconsistent state that is used afterwards.
+/// Locks `mutex`, also after a panic in another thread. Such a panic leaves no inconsistent state that is used later.
 fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -198,7 +200,8 @@ mod tests {
     use super::*;
     use crate::error::Error;
 
-    /// Any portions must give the same bands, identified by (first row, number of rows, first value).
+    /// Portions of any size must give the same bands. A band is identified by (first row, number of rows, first
+    /// value).
     #[test]
     fn bands_do_not_depend_on_the_portions() {
         let (width, height) = (3, 64 * 18 + 5);
@@ -235,7 +238,7 @@ mod tests {
         }
     }
 
-    /// The error is that of the first band in order that cannot be written, and nothing is written after it.
+    /// The returned error is that of the first band, in order, that cannot be written; no later band is written.
     #[test]
     fn the_first_error_ends_it() {
         for threads in [1, 3] {

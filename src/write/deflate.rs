@@ -1,21 +1,23 @@
-//! Deflate streams in parts that are compressed in parallel, by the `zlib-rs` crate.
+//! Compresses with deflate, by means of the `zlib-rs` crate. A stream can be made of parts that are compressed in
+//! parallel.
 //!
 //! In: bytes filtered by a predictor. Out: zlib streams, or parts that form one when they are concatenated. Cost: 3 ns
 //! per byte and core. Source: RFC 1950 (zlib), RFC 1951 (deflate).
 //!
-//! Repetitions are searched only at distance 1 (`Strategy::Rle`), because photographs have no other repetitions.
-//! Without its feature `std` the crate does not detect the CPU, so the bytes are the same on any CPU. Measured on three
-//! frames of 12 MP: a run takes 2 to 4 % more CPU time than with the encoder of hdralign that the crate replaced, and
+//! Repetitions are searched only at distance 1 (`Strategy::Rle`), because photographs have no other repetitions. The
+//! crate is used without its feature `std`. It then does not detect the CPU, so the bytes are the same on any CPU.
+//! Measured on three frames of 12 MP: a run takes 2 to 4 % more CPU time than with hdralign's own former encoder, and
 //! PNG files are 4 % smaller.
 
 use std::io;
 use zlib_rs::adler32::{adler32, adler32_combine};
 use zlib_rs::{Deflate, DeflateConfig, DeflateFlush, Status, Strategy};
 
-/// The header of a zlib stream: deflate, window of 32 KB, fastest.
+/// The header of a zlib stream: deflate, window of 32 KB, fastest compression level.
 pub(crate) const HEADER: [u8; 2] = [0x78, 0x01];
 
-/// The Adler-32 checksum of some bytes, with their number, so that the checksums of parts can be combined.
+/// The Adler-32 checksum of some bytes, and the number of these bytes, which is needed to combine the checksums of
+/// parts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Adler {
     sum: u32,
@@ -46,12 +48,12 @@ impl Adler {
     }
 }
 
-/// Appends `raw`, compressed, up to a byte boundary; `last` ends the stream.
+/// Compresses `raw` and appends the result to `out`, filled up to a complete byte. `last` ends the stream.
 ///
 /// # Errors
-/// Those of the crate, which has none for valid arguments.
+/// An error of the crate, which does not occur for valid arguments.
 pub(crate) fn deflate(raw: &[u8], last: bool, out: &mut Vec<u8>) -> io::Result<()> {
-    // Negative window bits: a deflate stream without zlib header and checksum.
+    // Negative window bits select a deflate stream without zlib header and checksum.
     let config = DeflateConfig { level: 1, window_bits: -15, strategy: Strategy::Rle, ..DeflateConfig::default() };
     let mut stream = Deflate::new_with_config(config);
     let flush = if last { DeflateFlush::Finish } else { DeflateFlush::SyncFlush };
@@ -70,7 +72,7 @@ pub(crate) fn deflate(raw: &[u8], last: bool, out: &mut Vec<u8>) -> io::Result<(
     Ok(())
 }
 
-/// Appends `raw`, compressed, as a complete zlib stream.
+/// Compresses `raw` and appends a complete zlib stream to `out`.
 ///
 /// # Errors
 /// Those of [`deflate`].
@@ -86,14 +88,14 @@ mod tests {
     use super::*;
     use std::io::Read;
 
-    /// Decompresses with another implementation.
+    /// Decompresses with another implementation, the crate `flate2`.
     fn inflated(stream: &[u8], length: usize) -> Vec<u8> {
         let mut bytes = Vec::with_capacity(length);
         flate2::read::ZlibDecoder::new(stream).read_to_end(&mut bytes).unwrap();
         bytes
     }
 
-    /// Noise, runs and a mixture, of some lengths.
+    /// Returns test data of several lengths: noise, runs of equal bytes, and a mixture.
     fn samples() -> impl Iterator<Item = Vec<u8>> {
         let noise = |i: usize| ((i as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 56) as u8;
         let kinds: [fn(usize, u8) -> u8; 3] = [|_, v| v, |i, _| (i / 100_000) as u8, |i, v| v & (i >> 9) as u8];
@@ -107,7 +109,8 @@ mod tests {
             let mut stream = b"before".to_vec();
             zlib(&raw, &mut stream).unwrap();
             assert!(inflated(&stream[6..], raw.len()) == raw, "{} bytes", raw.len());
-            // Incompressible data grow by the headers of stored blocks, 5 bytes each.
+            // Incompressible data may grow a little, because every block that is stored uncompressed has a header of
+            // 5 bytes.
             assert!(stream.len() < raw.len() + raw.len() / 1000 + 32, "{} of {}", stream.len(), raw.len());
         }
     }

@@ -1,8 +1,8 @@
 //! EXIF of a picture: the capture data of the reference frame, and the properties of the file.
 //!
-//! In: the [`Metadata`], with the EXIF fields of the reference frame where it has any. Out: a TIFF block, or its
-//! fields. Cost: negligible. Source: EXIF 2.32, sections 4.6.4 and 4.6.5, and table 17 for the fields that a JPEG must
-//! have.
+//! In: the [`Metadata`], with the EXIF fields of the reference frame where it has any. Out: an EXIF block, which has
+//! the structure of a TIFF, or its fields. Cost: negligible. Source: EXIF 2.32, sections 4.6.4 and 4.6.5, and table
+//! 17 for the fields that a JPEG must have.
 
 use super::metadata::{Metadata, one_line};
 use ::exif::experimental::Writer;
@@ -10,7 +10,8 @@ use ::exif::{Field, In, Rational, Reader, Tag, Value};
 use std::collections::BTreeMap;
 use std::io::Cursor;
 
-/// Largest size, in bytes, of the content of a JPEG segment after its name.
+/// Largest size of an EXIF block in bytes. A JPEG segment has at most 65,533 bytes, including the name of its
+/// content.
 const MOST_BYTES: usize = 65_500;
 
 /// Whether the metadata have capture data of the photograph.
@@ -21,18 +22,19 @@ pub(crate) fn tells(metadata: &Metadata) -> bool {
 /// Returns the EXIF block of a picture of `size` pixels.
 pub(crate) fn block(size: (usize, usize), metadata: &Metadata) -> Option<Vec<u8>> {
     let whole = written(&fields(of_the_photograph(metadata), size, metadata));
-    // A block that is larger than a segment is not from a camera; then only fields made from the metadata are written.
+    // A block that does not fit into a JPEG segment is not from a camera. In this case no EXIF fields of the frame
+    // are copied, and only fields made from `metadata` are written.
     whole.filter(|block| block.len() <= MOST_BYTES).or_else(|| written(&fields(of(metadata), size, metadata)))
 }
 
-/// Returns the fields of a TIFF picture of `size` pixels: all except those that EXIF has only for JPEG.
+/// Returns the fields of a TIFF picture of `size` pixels: all except those that EXIF defines for JPEG only.
 pub(crate) fn of_tiff(size: (usize, usize), metadata: &Metadata) -> Vec<Field> {
     let of_jpeg = [Tag::YCbCrPositioning, Tag::ComponentsConfiguration, Tag::PixelXDimension, Tag::PixelYDimension];
     let all = fields(of_the_photograph(metadata), size, metadata).into_iter();
     all.filter(|field| !of_jpeg.contains(&field.tag)).collect()
 }
 
-/// Returns the fields copied from the reference frame, or made from the metadata.
+/// Returns the EXIF fields of the reference frame or, if it has none, fields made from `metadata`.
 fn of_the_photograph(metadata: &Metadata) -> Vec<Field> {
     let carried = metadata.capture.exif.clone().and_then(|raw| Reader::new().read_raw(raw).ok());
     carried.map_or_else(|| of(metadata), |exif| exif.fields().cloned().collect())
@@ -114,14 +116,14 @@ fn of(metadata: &Metadata) -> Vec<Field> {
         }
     }
     if let Some(iso) = metadata.iso.map(f64::round).filter(|iso| *iso >= 1.0) {
-        // Sensitivities that do not fit 16 bits are 65535, by the standard.
+        // EXIF requires the value 65535 for sensitivities that do not fit into 16 bits.
         put(Tag::PhotographicSensitivity, Value::Short(vec![iso.min(65535.0) as u16]));
     }
     fields
 }
 
-/// Returns the closest fraction to `v`, which is 0 or above: 1/n if that is exact, otherwise a decimal fraction, as
-/// fine as necessary or as 32 bits allow.
+/// Returns numerator and denominator of a fraction close to `v`, which is 0 or above. The fraction is 1/n if that is
+/// exact, otherwise a decimal fraction with as many digits as `v` needs or as 32 bits allow.
 pub(crate) fn fraction(v: f64) -> (u32, u32) {
     let most = f64::from(u32::MAX);
     let whole = |x: f64| (x - x.round()).abs() <= 1e-6 * x && x.round() >= 1.0 && x < most;
@@ -133,7 +135,7 @@ pub(crate) fn fraction(v: f64) -> (u32, u32) {
     let exact = decimal.clone().find(|&d| (v * f64::from(d) - (v * f64::from(d)).round()).abs() <= 1e-9 * v);
     let finest = decimal.chain([1_000_000_000]).rfind(|&d| v * f64::from(d) < most).unwrap_or(1);
     let denominator = exact.filter(|&d| v * f64::from(d) < most).unwrap_or(finest);
-    // The cast limits larger values to `u32::MAX`.
+    // The cast limits values above `u32::MAX` to `u32::MAX`.
     ((v * f64::from(denominator)).round() as u32, denominator)
 }
 
@@ -165,7 +167,7 @@ mod tests {
     #[test]
     fn copied_exif_is_kept_and_properties_of_the_file_are_corrected() {
         let first = Metadata { time_s: Some(0.5), iso: Some(100.0), ..Metadata::default() };
-        // A block with another size and program, as in an edited photograph.
+        // The block states another size and another program, as that of an edited photograph does.
         let other = Metadata { software: "other".into(), ..first };
         let exif = block((9, 9), &other);
         let metadata = Metadata { capture: Capture { exif, ..Capture::default() }, ..Metadata::default() };

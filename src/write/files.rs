@@ -1,8 +1,9 @@
 //! All output files of a run, written in parallel from the same rows.
 //!
-//! In: radiance and pictures by rows, in portions of any size. Out: a complete temporary file for every output. Cost:
-//! that of the encoders, spread over all threads: bands of one file are encoded while another is written, and a file is
-//! synced after its last row while others are encoded. Memory: a few encoded bands for each file.
+//! In: rows of the radiance and of the picture, in portions of any size. Out: a complete temporary file for every
+//! output. Cost: that of the encoders, distributed to all threads: bands of one file are encoded while another file
+//! is written, and a file is synced after its last row while other files are still encoded. Memory: a few encoded
+//! bands for each file.
 
 use super::format::{Format, Output};
 use super::jpeg::{self, Rendition, Survey};
@@ -21,19 +22,19 @@ use rayon::prelude::*;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// The settings that depend on all of the radiance, and that a file needs before its first row.
+/// Settings that can only be determined from the whole radiance map, but that a file needs before its first row.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settled {
     /// Sample type of OpenEXR.
     pub sample: exr::Sample,
-    /// Factor for values in LogLuv.
+    /// Values are multiplied by this factor before they are stored as LogLuv.
     pub logluv_scale: f32,
-    /// The rendition for the gain map of a JPEG.
+    /// The white and the range of gains for the gain map of a JPEG.
     pub rendition: Rendition,
 }
 
 impl Settled {
-    /// Determines the settings for `radiance`, shown as `display`, written to `outputs`.
+    /// Determines the settings for writing `radiance` and its picture `display` to `outputs`.
     pub(super) fn of(
         outputs: &[Output],
         radiance: &RadianceMap,
@@ -50,9 +51,10 @@ impl Settled {
         Self::seen(outputs, options, scene, bright, |see| see(0, radiance), codes)
     }
 
-    /// Determines the settings for radiance of `size` and `primaries`, of which 0.1 % is above the luminance `bright`,
-    /// written to `outputs`. If necessary, `each` passes all radiance, slab by slab with the number of the first row,
-    /// and `codes` writes the codes of the picture for a row, given its number and its radiance.
+    /// Determines the settings for writing to `outputs` a radiance map of `size` and `primaries`, in which 0.1 % of
+    /// the pixels exceed the luminance `bright`. `each` calls its argument for every slab of the radiance map, with
+    /// the number of the slab's first row; it is used only if a format needs it. `codes(row number, radiance of the
+    /// row, out)` writes the picture's code values of the row to `out`.
     ///
     /// # Errors
     /// Those of `each`.
@@ -91,7 +93,7 @@ pub fn is_among(outputs: &[Output], format: Format) -> bool {
     outputs.iter().any(|output| output.format == format)
 }
 
-/// Rows of a picture.
+/// Code values of rows of a picture.
 #[derive(Debug, Clone, Copy)]
 pub enum Codes<'a> {
     /// 8 bits per channel.
@@ -141,7 +143,7 @@ impl<P: Sync> Slot<P> {
     }
 }
 
-/// A file with both radiance and picture, and its position among the outputs.
+/// A file that contains both radiance and picture, and its position among the outputs.
 struct Both {
     place: usize,
     path: PathBuf,
@@ -176,10 +178,10 @@ fn push_all<P: Sync>(slots: &mut [Slot<P>], rows: &[P]) -> Result<()> {
     outcomes.into_iter().collect()
 }
 
-/// All result files of a run: radiance maps and pictures, by extension.
+/// All result files of a run: radiance maps and pictures.
 ///
 /// Push at least four bands of [`BAND_ROWS`](crate::plane::BAND_ROWS) rows at a time, so that several threads have
-/// work; the portions do not affect the files. No file remains if `Files` is dropped before the end.
+/// work. The size of the portions does not change the files. No file remains if `Files` is dropped before the end.
 pub struct Files {
     radiance: Vec<Slot<[f32; 3]>>,
     eight: Vec<Slot<[u8; 3]>>,
@@ -189,11 +191,13 @@ pub struct Files {
 }
 
 impl Files {
-    /// Starts a file for each of `outputs`, with radiance of `size` pixels. Radiance has the
-    /// [`primaries`](Metadata::primaries), pictures have the requested [`colours`](super::picture::Options::colours).
+    /// Starts a file for each of `outputs`; the radiance map has `size` pixels. Radiance files have the
+    /// [`primaries`](Metadata::primaries) of `metadata`, pictures have the requested
+    /// [`colours`](super::picture::Options::colours).
     ///
     /// # Errors
-    /// [`Error::Option`] if the format of a picture does not support an option; [`Error::Write`]. No files remain.
+    /// [`Error::Option`] if the format of a picture does not support an option; [`Error::Write`]. After an error, no
+    /// files remain.
     pub fn begin(
         outputs: &[Output],
         size: (usize, usize),
@@ -226,7 +230,7 @@ impl Files {
         Ok(files)
     }
 
-    /// Whether one of the pictures needs the radiance that it shows.
+    /// Whether one of the files is a JPEG, which needs the radiance besides the picture (for a gain map).
     pub fn hold_gains(&self) -> bool {
         !self.both.is_empty()
     }
@@ -236,14 +240,16 @@ impl Files {
         !self.eight.is_empty() || !self.sixteen.is_empty() || !self.both.is_empty()
     }
 
-    /// Adds the next rows of `radiance` for the maps, and for the pictures the next `codes` and the radiance `shown` by
-    /// them, in the size of the picture. All files are written in parallel; each of the three may be empty.
+    /// Adds the next rows to all files, in parallel. `radiance` is for the radiance maps. `codes` is for the
+    /// pictures, and `shown` is the radiance that these codes show, at the size of the picture. Each of the three may
+    /// be empty.
     ///
     /// # Errors
-    /// [`Error::Write`] of the first file in order that failed. No more rows can be added then.
+    /// [`Error::Write`] of the first file that failed, in the order radiance maps, PNG and TIFF pictures, JPEG. After
+    /// an error, no more rows can be added.
     ///
     /// # Panics
-    /// As [`RowWriter::push`]; and if the codes do not have the requested depth.
+    /// As [`RowWriter::push`].
     pub fn push(&mut self, radiance: &[[f32; 3]], shown: &[[f32; 3]], codes: Codes) -> Result<()> {
         let Files { radiance: maps, eight, sixteen, both } = self;
         let (coarse, fine): (&[[u8; 3]], &[[u16; 3]]) = match codes {
@@ -295,7 +301,7 @@ fn radiance_writer(
     })
 }
 
-/// Creates a writer of codes to `output`.
+/// Creates a writer of code values to `output`.
 fn picture_writer<T: png::Sample>(
     output: &Output,
     size: (usize, usize),
@@ -324,7 +330,8 @@ mod tests {
         let picture = DisplayImage { pixels: Plane::filled(9, 3, [10, 20, 30]) };
         let (metadata, options) = (Metadata::default(), Options::default());
         let there = || std::fs::read_dir(dir.path()).unwrap().count();
-        // The last file cannot be created, after five others were: no file may remain, not even under a temporary name.
+        // The sixth file cannot be created, after the first five were: no file may remain, not even under a temporary
+        // name.
         let mut and_a_wrong_one = paths.clone();
         and_a_wrong_one.push("nowhere/a.exr".into());
         assert!(write(&and_a_wrong_one, &radiance, &picture, &metadata, &options).is_err());
@@ -340,8 +347,8 @@ mod tests {
         assert!(matches!(again, Err(Error::OutputExists { .. })));
         assert_eq!(there(), 5);
     }
-    /// Portions of any size, with radiance and picture together or one after the other, give the same files as all rows
-    /// at once; a run with missing rows leaves no file.
+    /// Rows may be pushed in portions of any size, and radiance and picture together or one after the other: the
+    /// files are the same as for all rows at once. If rows are missing, no file remains.
     #[test]
     fn files_do_not_depend_on_how_they_are_fed() {
         let dir = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! File formats by extension, and whether they contain radiance or a picture.
+//! The file format for an extension, and whether the format contains radiance or a picture.
 //!
 //! In: paths. Out: [`Output`]s. Cost: negligible.
 
@@ -24,10 +24,10 @@ pub enum Format {
 }
 
 impl Format {
-    /// The supported extensions, for messages.
+    /// The supported extensions, for error messages.
     pub const KNOWN: &str = ".exr, .hdr, .pic, .tif, .tiff, .png, .jpg, .jpeg";
 
-    /// Returns the format for the extension of `path`, in upper or lower case.
+    /// Returns the format for the extension of `path`, which may be in upper or lower case.
     ///
     /// # Errors
     /// [`Error::UnknownExtension`].
@@ -82,7 +82,7 @@ pub struct Output {
 }
 
 impl Output {
-    /// Returns the outputs of `-o`: `paths` by extension.
+    /// Returns the outputs for the `paths` of `-o`, each with the format of its extension.
     ///
     /// # Errors
     /// [`Error::UnknownExtension`].
@@ -90,7 +90,7 @@ impl Output {
         paths.iter().map(|path| Ok(Output { path: path.clone(), format: Format::of(path)? })).collect()
     }
 
-    /// Returns the outputs of `--picture`: always the display picture.
+    /// Returns the outputs for the `paths` of `--picture`, which always contain the display picture.
     ///
     /// # Errors
     /// Those of [`Format::of_picture`].

@@ -1,10 +1,11 @@
-//! Radiance `.hdr`: RGBE or XYZE pixels after a text header.
+//! Writes the format `.hdr` of the program Radiance: RGBE or XYZE pixels after a text header.
 //!
-//! In: linear RGB by rows. Out: a file that `evalglare`, `pcomb` and `pfilt` read with the right units. RGBE is in
-//! W/sr/m2 times EXPOSURE: luminance = 179 (0.2126 R + 0.7152 G + 0.0722 B) / EXPOSURE for BT.709's primaries. XYZE is
-//! in cd/m2 times EXPOSURE: luminance = Y / EXPOSURE; grey has X = Y = Z, as in Radiance, and there are no primaries.
-//! [`read`](crate::read) reads it. Cost: 25 ns per pixel and core; files have 3 to 4 bytes per pixel. Source: "Radiance
-//! File Formats" (Ward, LBNL), "Picture Format"; `src/common/header.c`, `color.c`, `src/px/ra_xyze.c`.
+//! In: linear RGB by rows. Out: a file that `evalglare`, `pcomb` and `pfilt` read with the right units. RGBE stores
+//! W/sr/m2 multiplied by EXPOSURE, so luminance = 179 (0.2126 R + 0.7152 G + 0.0722 B) / EXPOSURE for BT.709's
+//! primaries. XYZE stores cd/m2 multiplied by EXPOSURE, so luminance = Y / EXPOSURE. In XYZE a grey pixel has X = Y =
+//! Z, as in the program Radiance, and the header has no primaries. The module [`read`](crate::read) reads both. Cost:
+//! 25 ns per pixel and core; files have 3 to 4 bytes per pixel. Source: "Radiance File Formats" (Ward, LBNL),
+//! "Picture Format"; `src/common/header.c`, `color.c`, `src/px/ra_xyze.c`.
 
 use super::bands::Bands;
 use super::metadata::{Metadata, one_line};
@@ -15,7 +16,7 @@ use crate::error::Result;
 use crate::merge::Photographed;
 use crate::pixel::rgbe::Scanline;
 
-/// Lumens per watt of Radiance's white, by definition.
+/// Luminous efficacy of white in lm/W, as the program Radiance defines it.
 pub const WHITE_EFFICACY: f64 = 179.0;
 
 /// Pixel encoding of a Radiance file.
@@ -44,14 +45,14 @@ pub struct Writer {
 #[derive(Debug, Clone, Copy)]
 struct ToStored {
     xyz: Option<NeutralXyz>,
-    /// Factor for the values of the rows; nothing is done if it is 1.
+    /// The values of the rows are multiplied by this factor; the multiplication is skipped if it is 1.
     factor: f32,
 }
 
 impl ToStored {
     fn of(metadata: &Metadata, encoding: Encoding) -> Self {
-        // Calibrated radiance is stored in the unit of the encoding, W/sr/m2 or cd/m2, so that programs that ignore
-        // EXPOSURE are also right.
+        // Calibrated radiance is stored in the unit of the encoding, W/sr/m2 or cd/m2, so that the values are also
+        // right in programs that ignore EXPOSURE.
         let factor = match (metadata.cd_m2_per_unit, encoding) {
             (None, _) => 1.0,
             (Some(luminance), Encoding::Rgbe) => luminance.get() / WHITE_EFFICACY,
@@ -115,7 +116,7 @@ struct Scratch {
     scanline: Scanline,
 }
 
-/// Appends the rows; returns the number of values out of range.
+/// Appends the encoded rows to `out`; returns the number of values out of range.
 fn encode_band(
     pixels: &[[f32; 3]],
     width: usize,
@@ -136,10 +137,11 @@ fn encode_band(
     rows.sum()
 }
 
-/// Returns the header, the blank line and the resolution.
+/// Returns the header, the blank line and the resolution line.
 fn header((width, height): (usize, usize), metadata: &Metadata, encoding: Encoding) -> String {
     let mut lines = vec!["#?RADIANCE".to_owned()];
-    // Readers divide by EXPOSURE, and XYZE by 179: the radiances in comments must be in W/sr/m2, too.
+    // Readers convert pixels to W/sr/m2: they divide by EXPOSURE, and in XYZE also by 179. The radiances in comments
+    // must have the same unit.
     let unit = metadata.cd_m2_per_unit.map_or(1.0, |luminance| luminance.get() / WHITE_EFFICACY);
     let in_unit = |comment: &String| match Photographed::read([comment]) {
         Some(photographed) if unit != 1.0 => photographed.times(unit).to_string(),
@@ -159,8 +161,8 @@ fn header((width, height): (usize, usize), metadata: &Metadata, encoding: Encodi
         ("ISO", metadata.iso),
     ];
     lines.extend(numbers.into_iter().filter_map(|(name, v)| v.map(|v| format!("{name}={v}"))));
-    // EXPOSURE is at column 0 and occurs once: evalglare fails on a tab before it, and multiplies the values of
-    // several.
+    // EXPOSURE is at column 0 and occurs once: evalglare fails on a tab before it, and multiplies the values if there
+    // are several.
     lines.push(format!("EXPOSURE={:e}", exposure(metadata, encoding)));
     match encoding {
         Encoding::Rgbe => {
@@ -174,8 +176,8 @@ fn header((width, height): (usize, usize), metadata: &Metadata, encoding: Encodi
     format!("{}\n\n-Y {height} +X {width}\n", lines.join("\n"))
 }
 
-/// Returns the value of EXPOSURE: a stored value divided by it is in W/sr/m2 (RGBE) or cd/m2 (XYZE). Relative radiance
-/// 1 counts as 1 W/sr/m2.
+/// Returns the value of EXPOSURE: a stored value divided by EXPOSURE is in W/sr/m2 (RGBE) or cd/m2 (XYZE). If
+/// radiance is not calibrated, its value 1 is taken as 1 W/sr/m2.
 fn exposure(metadata: &Metadata, encoding: Encoding) -> f64 {
     match (metadata.cd_m2_per_unit, encoding) {
         (None, Encoding::Xyze) => metadata.exposure_scale.get() / WHITE_EFFICACY,
@@ -248,8 +250,8 @@ mod tests {
         assert_eq!(bytes, [golden.as_bytes(), &[128, 64, 32, 129].repeat(6)].concat());
     }
 
-    /// The luminance of white must be `cd_m2_per_unit` / `exposure_scale`: 179 G / EXPOSURE in RGBE, Y / EXPOSURE in
-    /// XYZE.
+    /// The luminance of the pixel (1, 1, 1) must be `cd_m2_per_unit` / `exposure_scale`. Readers compute it as 179 G
+    /// / EXPOSURE in RGBE (G is green) and as Y / EXPOSURE in XYZE.
     #[test]
     fn calibrated_luminance_is_in_pixels_and_exposure() {
         let metadata = Metadata {
@@ -262,7 +264,8 @@ mod tests {
         let (bytes, _) = written(&white, &metadata);
         let (map, back) = parsed(&bytes);
         assert_eq!(back.exposure_scale, factor(4.0));
-        // 358 cd/m2 / 179 = 2 W/sr/m2 is stored with the mantissa 128; the reader adds half a step to the mantissa.
+        // 358 cd/m2 are 2 W/sr/m2 (divided by 179 lm/W). This is stored with the mantissa 128; the reader adds half a
+        // step to the mantissa.
         assert_eq!(map.pixels.at(0, 0), [2.0 * 128.5 / 128.0; 3]);
         assert!(bytes.starts_with(b"#?RADIANCE\n# one two\nSOFTWARE="));
         let (bytes, _) = encoded(&white, &metadata, Encoding::Xyze);
@@ -271,11 +274,12 @@ mod tests {
         let relative = Metadata { cd_m2_per_unit: None, ..metadata };
         let (bytes, _) = encoded(&white, &relative, Encoding::Xyze);
         let (map, back) = parsed(&bytes);
-        // Read back, the scale is again 4 and white is 1, as in RGBE.
+        // After reading, the exposure scale is 4 again and the value of white is 1.
         assert!((back.exposure_scale.get() - 4.0).abs() < 1e-12 && (map.pixels.at(0, 0)[1] - 1.0).abs() < 0.01);
     }
 
-    /// `natural` exposes by the radiances of the comment, which must be in the unit of the pixels that are read.
+    /// The tone mapping operator `natural` computes its exposure from the radiances in the comment. They must have
+    /// the same unit as the pixels that are read from the file.
     #[test]
     fn radiances_of_the_comment_have_the_unit_of_the_pixels() {
         let photographed = Photographed { longest: 0.5, shortest: 8.0, contrast: 1.2, white_stops: 2.5 };
@@ -289,13 +293,14 @@ mod tests {
             let (map, back) = parsed(&encoded(&grey, &metadata, encoding).0);
             let longest = Photographed::read(&back.comments).unwrap().longest;
             let pixel = f64::from(map.pixels.at(4, 0)[1]) / back.exposure_scale.get();
-            // A step of the mantissa is 1/128 at most.
+            // The tolerance of 1 % covers the rounding of a pixel: a step of the mantissa is at most 1/128 of the
+            // value.
             assert!((pixel / longest - 1.0).abs() < 0.01, "{encoding}: {pixel} {longest}");
         }
     }
 
-    /// The `image` crate decodes to mantissa * 2^(exponent - 136), without the half step; our values are larger by half
-    /// a step of the pixel.
+    /// The `image` crate decodes a channel to mantissa * 2^(exponent - 136). hdralign adds half a step of the
+    /// mantissa, so its values are larger by that half step.
     #[test]
     fn another_decoder_reads_the_same_pixels() {
         use image::ImageDecoder;

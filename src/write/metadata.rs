@@ -7,7 +7,7 @@ use crate::bracket::colour::{Primaries, Profile};
 use crate::bracket::{Capture, Frame};
 use crate::merge::radiance::calibration::Factor;
 
-/// Metadata for headers. It does not depend on the clock.
+/// Metadata for headers. It does not contain the time of writing.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Metadata {
     /// The program and its version: `hdralign 0.1.0`.
@@ -20,17 +20,17 @@ pub struct Metadata {
     pub f_number: Option<f64>,
     /// The sensitivity of the reference.
     pub iso: Option<f64>,
-    /// The primaries and the white of the pixels.
+    /// The primaries and the white point of the pixels.
     pub primaries: Primaries,
-    /// The factor of the pixel values: divided by this factor, they are radiance. 1 for radiance as merged.
+    /// The pixel values divided by this factor are radiance. The factor is 1 for radiance from the merge.
     pub exposure_scale: Factor,
     /// The luminance of radiance (1, 1, 1) in cd/m2, before multiplication by [`exposure_scale`](Self::exposure_scale);
     /// `None` if radiance is not calibrated.
     pub cd_m2_per_unit: Option<Factor>,
     /// The ICC profile of display-encoded pixels (8- and 16-bit TIFF, PNG); `None` means sRGB. Radiance formats
-    /// record primaries.
+    /// record the `primaries` instead.
     pub profile: Option<Profile>,
-    /// Additional lines for users.
+    /// Additional comment lines for the header.
     pub comments: Vec<String>,
 }
 
@@ -64,12 +64,12 @@ impl Metadata {
         }
     }
 
-    /// Returns the camera on one line, or `None` if it is unknown.
+    /// Returns the name of the camera on one line, or `None` if it is unknown.
     pub(super) fn camera(&self) -> Option<String> {
         self.capture.camera().map(|name| one_line(&name)).filter(|name| !name.is_empty())
     }
 
-    /// Returns the luminance of a stored (1, 1, 1) in cd/m2, if it is known.
+    /// Returns the luminance of a stored pixel (1, 1, 1) in cd/m2, if it is known.
     pub(super) fn white_luminance(&self) -> Option<f64> {
         Some(self.cd_m2_per_unit?.over(self.exposure_scale)?.get())
     }

@@ -1,10 +1,10 @@
-//! Writing of radiance maps and pictures: every output is written to a temporary file, and all are renamed when all are
-//! complete.
+//! Writes radiance maps and pictures. Every output goes to a temporary file; the temporary files are renamed once all
+//! of them are complete.
 //!
-//! In: pixels by rows, in order, in portions of any size, and the [`Metadata`] for the headers. Out: files. A path that
-//! exists is a complete file; a failed run leaves nothing behind. Bands of 64 rows are encoded in parallel and written
-//! in order, so the bytes do not depend on the number of threads. Cost: see each format; the commit waits for the disk
-//! (fsync).
+//! In: pixels by rows, in order, in portions of any size, and the [`Metadata`] for the headers. Out: files. A file
+//! under its final name is complete; a failed run removes its temporary files. Bands of 64 rows are encoded in
+//! parallel and written in order, so the bytes do not depend on the number of threads. Cost: see each format; before
+//! the files are renamed, the run waits until they are on the disk (fsync).
 //!
 //! Each module uses only those before it: `deflate`, `staging`, `bands`, `metadata`, `row_writer`, `format`, `exif`,
 //! then the formats (`exr`, `hdr`, `tiff`, `png`, `jpeg`), `picture`, `aligned`, `files`.
@@ -62,19 +62,20 @@ impl Options {
     /// Checks that `outputs` can be written with these options.
     ///
     /// # Errors
-    /// [`Error::Option`] for an option that is out of range, not supported by a format, or for pictures if there is
-    /// none.
+    /// [`Error::Option`] for a value that is out of range, for an option that a format does not support, and for a
+    /// picture option if no picture is written.
     pub fn check(&self, outputs: &[Output]) -> Result<()> {
         self.jpeg.validate()?;
         self.picture.check(outputs, self.jpeg.gain_map)
     }
 }
 
-/// Writes all `paths`, radiance or picture by extension, to temporary files that [`commit`] renames.
+/// Writes all `paths` to temporary files, which [`commit`] renames. The extension of a path decides whether it
+/// receives the radiance or the picture.
 ///
 /// # Errors
-/// [`Error::UnknownExtension`]; [`Error::Option`] for options that an 8-bit picture does not support;
-/// [`Error::Write`]. No files remain.
+/// [`Error::UnknownExtension`]; [`Error::Option`] for picture options other than the default; [`Error::Write`]. After
+/// an error, no files remain.
 pub fn write(
     paths: &[PathBuf],
     radiance: &RadianceMap,

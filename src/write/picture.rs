@@ -1,4 +1,4 @@
-//! Options of pictures in any format: bit depth, colour space, size and adjustments.
+//! Options that pictures of all formats have: bit depth, colour space, size and adjustments.
 //!
 //! In: options and outputs. Out: an error where a format does not support them. Cost: none.
 
@@ -17,26 +17,26 @@ pub struct Options {
     pub depth: Depth,
     /// Primaries and transfer function, and the profile that describes them. Default: sRGB.
     pub colours: Colours,
-    /// Size. Default: that of the radiance.
+    /// Size of the picture. Default: that of the radiance map.
     pub size: Size,
-    /// Adjustments after the operator. Default: none.
+    /// Adjustments after the tone mapping operator. Default: none.
     pub adjust: adjust::Options,
 }
 
-/// Size of pictures; none is ever larger than the radiance.
+/// Size of a picture, which is never larger than the radiance map.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub enum Size {
-    /// As large as the radiance.
+    /// As large as the radiance map.
     #[default]
     Full,
     /// Number of pixels of the longest side.
     Longest(usize),
-    /// Percentage of the width and of the height of the radiance.
+    /// Percentage of the width and of the height of the radiance map.
     Percent(f64),
 }
 
 impl Size {
-    /// Returns width and height of the picture of radiance with `full` pixels.
+    /// Returns width and height of the picture, for a radiance map of width and height `full`.
     pub fn of(self, full: (usize, usize)) -> (usize, usize) {
         let longest = full.0.max(full.1).max(1);
         let factor = match self {
@@ -48,7 +48,7 @@ impl Size {
         (side(full.0), side(full.1))
     }
 
-    /// Returns a warning if the picture of radiance with `full` pixels does not have the requested size.
+    /// Returns a warning if the requested size is larger than the radiance map, which has width and height `full`.
     pub fn warning(self, full: (usize, usize)) -> Option<Warning> {
         let longest_px = full.0.max(full.1);
         match self {
@@ -89,10 +89,10 @@ impl fmt::Display for Size {
 }
 
 impl Options {
-    /// Checks that `outputs` support these options; a `.jpg` has the gain map `gain_map`.
+    /// Checks that `outputs` support these options. `gain_map` is the size of the gain map in a `.jpg`.
     ///
     /// # Errors
-    /// [`Error::Option`] if one does not, or if there is no picture.
+    /// [`Error::Option`] if an output does not support an option, or if an option is given but no picture is written.
     pub(super) fn check(&self, outputs: &[Output], gain_map: Resolution) -> Result<()> {
         let refused = |option, reason: String| Err(Error::Option { option, reason });
         self.adjust.validate()?;

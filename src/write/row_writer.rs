@@ -8,8 +8,9 @@ use crate::plane::Plane;
 
 /// The interface of output formats: rows in order, then the end. `P` is the pixel.
 ///
-/// Rows may arrive while they are merged, and several writers may run at the same time. A writer encodes its rows in
-/// parallel before it returns. No file remains if the writer is dropped before the end.
+/// Rows may be pushed while later rows are still being merged, and several writers may run at the same time. `push`
+/// encodes its rows on several threads and returns when they are encoded. No file remains if the writer is dropped
+/// before the end.
 pub trait RowWriter<P>: Send {
     /// Adds the next complete rows, in order: any number of them, with `rows.len()` a multiple of the width.
     ///
@@ -17,7 +18,8 @@ pub trait RowWriter<P>: Send {
     /// [`Error::Write`](crate::error::Error::Write) if encoding or writing fails.
     ///
     /// # Panics
-    /// If a row is incomplete, or there are more rows than the picture has: an error of the caller, never of a file.
+    /// If a row is incomplete, or there are more rows than the picture has. This is a mistake of the caller and is
+    /// never caused by a file.
     fn push(&mut self, rows: &[P]) -> Result<()>;
 
     /// Ends the file after its last row.

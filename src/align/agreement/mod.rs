@@ -1,10 +1,11 @@
-//! Agreement: a local check of a transform, tile by tile, with a measure that bitmaps, features and refinement do not
-//! optimise.
+//! Agreement: a local check of a transform, tile by tile. Its measure, the correlation, is not what the bitmap search,
+//! the feature matching or the refinement optimises.
 //!
-//! In: two frames at a common exposure and a transform. Out: how many tiles agree with it, how many disagree, and the
-//! displacement of those that agree. Cost: some twenty correlations per tile, with three multiply-adds per pixel.
-//! Source: normalised cross-correlation (Lewis, "Fast Normalized Cross-Correlation", Vision Interface 1995), which does
-//! not depend on gain and offset, searched within a few pixels.
+//! In: two frames whose grey values are mapped to a common exposure, and a transform. Out: the number of tiles that
+//! agree with the transform, the number of tiles that disagree, and the displacements of the agreeing tiles. Cost:
+//! about twenty correlations per tile, each with three multiply-adds per pixel. Source: normalised cross-correlation
+//! (Lewis, "Fast Normalized Cross-Correlation", Vision Interface 1995), which does not depend on gain and offset. Each
+//! tile is searched within a few pixels of its position.
 
 pub(crate) mod pattern;
 mod period;
@@ -23,15 +24,15 @@ use nalgebra::Matrix3;
 use rayon::prelude::*;
 use std::sync::OnceLock;
 
-/// Number of tiles along the long side.
+/// Number of tiles along the long side of the picture.
 const TILES: usize = 16;
-/// Least side of a tile, in pixels. A narrower picture has no tiles and cannot be checked.
+/// Smallest side of a tile, in pixels. A picture whose short side is smaller has no tiles and cannot be checked.
 pub(crate) const LEAST_SIDE: usize = 8;
-/// Parts of the picture that did not move although the transform moves them (captions, watermarks, dust) are not
-/// counted if their share is at most this. If it is larger, they may be the scene, and the transform may follow
-/// something that moved; then they count against the transform.
+/// Largest share of tiles that may be ignored because they did not move although the transform moves them (captions,
+/// watermarks, dust). If the share is larger, these tiles may be the scene, and the transform may follow something that
+/// moved; then they count as disagreeing.
 pub(crate) const MOST_STILL: f64 = 1.0 / 3.0;
-/// Search range of a tile around its position, in pixels.
+/// Search range of a tile around its position, in pixels in each direction along each axis.
 const REACH: isize = 3;
 
 /// The agreement of the tiles with a transform.
@@ -39,36 +40,41 @@ const REACH: isize = 3;
 pub struct Agreement {
     /// Number of tiles whose best match is at the position given by the transform.
     pub agreeing: usize,
-    /// Number of tiles with enough structure that match elsewhere, or nowhere.
+    /// Number of tiles with enough structure whose best match is at another position, or that match nowhere.
     pub disagreeing: usize,
     /// Number of tiles that are uniform, too dark, too bright, or outside the frame.
     pub undecided: usize,
-    /// Number of parts of the picture, of three by three, in which a tile agrees.
+    /// Number of cells of a 3 x 3 grid over the picture that contain an agreeing tile, 0..=9.
     pub parts: usize,
-    /// The median displacement of the agreeing tiles, in pixels of the planes.
+    /// The median distance of the agreeing tiles' best matches from the positions given by the transform, in pixels of
+    /// the compared planes.
     pub offset: f64,
 }
 
 impl Agreement {
-    /// The share of the decided tiles that agree, with a prior of five tiles of which one and a half agree.
+    /// The share of agreeing tiles among all agreeing and disagreeing ones, after adding five imaginary tiles of which
+    /// one and a half agree. With few tiles, the share is therefore close to 0.3.
     pub fn share(&self) -> f64 {
         (self.agreeing as f64 + 1.5) / ((self.agreeing + self.disagreeing) as f64 + 5.0)
     }
 
-    /// The coverage of the picture by agreeing tiles, 1/2..=1.
+    /// How much of the picture has agreeing tiles: 1/2 if none has, 1 if at least `ENOUGH_PARTS` of the 3 x 3 cells
+    /// have.
     pub fn coverage(&self) -> f64 {
         0.5 + 0.5 * self.parts.min(ENOUGH_PARTS) as f64 / ENOUGH_PARTS as f64
     }
 }
 
-/// If at least this many parts of the picture have agreeing tiles, the whole picture counts as covered.
+/// If at least this many of the 3 x 3 cells of the picture have agreeing tiles, the whole picture counts as covered.
 const ENOUGH_PARTS: usize = 4;
 
 impl TileCheck {
-    /// Evidence for this transform over that of `other`, in nats, from the tiles that are decided in both.
+    /// Returns the evidence for this transform compared with that of `other`, in nats, from the tiles that have a
+    /// correlation in both checks.
     ///
-    /// The sum over the tiles of the logarithm of the ratio of their unexplained variances. Positive for this
-    /// transform, negative for the other.
+    /// A transform leaves 1 - correlation^2 of a tile's variance unexplained. The evidence is the sum over the tiles of
+    /// ln(unexplained share under `other` / unexplained share under this transform). It is positive if this transform
+    /// matches better, negative if the other does.
     pub fn evidence_over(&self, other: &TileCheck) -> f64 {
         let unexplained = |c: f32| f64::from(1.0 - c.max(0.0) * c.max(0.0)) + UNEXPLAINED;
         let both = self.correlations.iter().zip(&other.correlations).filter_map(|(a, b)| Some(((*a)?, (*b)?)));
@@ -76,19 +82,19 @@ impl TileCheck {
     }
 }
 
-/// Share of a tile's variance that noise leaves unexplained under the true transform.
+/// Share of a tile's variance that noise leaves unexplained even under the true transform.
 const UNEXPLAINED: f64 = 0.05;
 
-/// The displacement of a tile.
+/// The displacement of a tile's best match from the position given by the transform.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TileDisplacement {
-    /// Its centre in the reference, in pixels of the planes.
+    /// The centre of the tile in the reference, in pixels of the compared planes.
     pub centre: [f64; 2],
-    /// Negative second derivatives of its correlation at the best match, [xx, xy, yy], per pixel^2: the precision of
-    /// its position in each direction.
+    /// The negative second derivatives of the tile's correlation at the best match, [xx, xy, yy], per pixel^2. The
+    /// larger they are in a direction, the more precisely the position is known in that direction.
     pub sharpness: [f64; 3],
-    /// `sharpness` times the displacement from the position given by the transform, in the reference's directions. (In
-    /// the direction along an edge, both the sharpness and the pull are zero.)
+    /// The matrix `sharpness` times the displacement vector, in the reference's x and y. Along an edge, where the
+    /// displacement is unknown, the sharpness and this product are both zero.
     pub pull: [f64; 2],
 }
 
@@ -97,7 +103,7 @@ pub struct TileDisplacement {
 pub struct TileCheck {
     /// The summary of all tiles.
     pub agreement: Agreement,
-    /// The correlation of each tile at its position; none where it has too little contrast or is outside the frame.
+    /// The correlation of each tile at its position; none for a tile with too little contrast or outside the frame.
     pub correlations: Vec<Option<f32>>,
     /// The displacements of the agreeing tiles whose best match is not at the edge of the search range.
     pub displacements: Vec<TileDisplacement>,
@@ -107,7 +113,8 @@ pub struct TileCheck {
 pub fn check_tiles(both: &CommonExposure, h: &Matrix3<f64>) -> TileCheck {
     let (width, height) = (both.reference.width(), both.reference.height());
     let warped = Warped::new(&both.frame, h, (width, height), REACH as usize);
-    // In a strip longer than TILES squares, a tile spans the whole width.
+    // A tile is never larger than the short side. In a strip more than `TILES` times as long as wide, each tile
+    // therefore spans the whole width.
     let side = width.max(height).div_ceil(TILES).min(width.min(height)).max(LEAST_SIDE);
     let (columns, rows) = (width / side, height / side);
     let plain = OnceLock::new();
@@ -140,8 +147,8 @@ pub fn check_tiles(both: &CommonExposure, h: &Matrix3<f64>) -> TileCheck {
             }
         }
     }
-    // Tiles that stayed at the same pixels are ignored if they are few. Otherwise the transform may be wrong, so they
-    // count as disagreeing.
+    // Tiles that stayed at the same pixels are ignored if they are few. If there are many, the transform may be wrong,
+    // so they count as disagreeing.
     if still as f64 <= MOST_STILL * (still + sum.agreeing + sum.disagreeing) as f64 {
         sum.undecided += still;
     } else {

@@ -1,8 +1,9 @@
-//! The pattern of a square of the reference, and its normalised cross-correlation with the frame.
+//! The pattern of a tile (a square of the reference): its pixels minus their mean; and the normalised cross-correlation
+//! of the pattern with the frame.
 //!
 //! In: two frames at a common exposure, the second warped to the reference's grid, and a square. Out: correlations at
-//! whole-pixel shifts, and the paraboloid around the best. Cost: three multiply-adds per pixel and shift.
-//! Source: Lewis 1995 (see [`agreement`](crate::align::agreement)).
+//! whole-pixel shifts, and the paraboloid around the best one. Cost: three multiply-adds per pixel and shift. Source:
+//! Lewis 1995 (see [`agreement`](crate::align::agreement)).
 
 use crate::align::agreement::TileDisplacement;
 use crate::align::photometric::CommonExposure;
@@ -11,24 +12,26 @@ use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};
 use nalgebra::Matrix3;
 
-/// A tile is undecided if the standard deviation of its pixels with weight is less than this, in grey values.
+/// A tile is undecided if the standard deviation of its pixels is less than this, in grey values. Only pixels with at
+/// least `LEAST_WEIGHT` are used.
 const LEAST_CONTRAST: f32 = 2.5;
 
-/// A tile is undecided if fewer of its pixels have weight. The number is small, so that a lamp at night suffices.
+/// A tile is undecided if fewer than this number of its pixels have at least `LEAST_WEIGHT`. The number is small, so
+/// that a lamp at night suffices.
 const LEAST_PIXELS: f32 = 64.0;
 
-/// Weight below which a pixel is ignored.
+/// Pixels whose grey value has a weight (0..=1, see `ToneTables::weight`) below this are ignored.
 const LEAST_WEIGHT: f32 = 0.01;
 
 /// A frame on the reference's grid, with a margin on all sides.
 pub(crate) struct Warped {
-    /// NaN in the margin and outside the frame.
+    /// The pixels of the frame; NaN in the margin and outside the frame.
     plane: Plane<f32>,
     margin: usize,
 }
 
 impl Warped {
-    /// The `frame` under the transform `h`, reference -> frame in pixels of the planes.
+    /// Warps `frame` with the transform `h`, reference -> frame in pixels of the planes.
     pub(crate) fn new(frame: &Plane<f32>, h: &Matrix3<f64>, (width, height): (usize, usize), margin: usize) -> Self {
         let is_identity = *h == Matrix3::identity();
         let mut plane = Plane::filled(width + 2 * margin, height + 2 * margin, f32::NAN);
@@ -36,8 +39,8 @@ impl Warped {
             let Some(y) = row_at.checked_sub(margin).filter(|&y| y < height) else { return };
             let row = &mut row[margin..margin + width];
             if is_identity {
-                // Gives the same values as `WarpRow`, which omits the last row and column because they have no next
-                // neighbour.
+                // This gives the same values as `WarpRow`, which omits the frame's last row and column because they
+                // have no next neighbour to interpolate with.
                 if y + 1 < frame.height() {
                     let count = width.min(frame.width() - 1);
                     row[..count].copy_from_slice(&frame.row(y)[..count]);
@@ -116,7 +119,7 @@ fn blend(upper: (f32, f32), lower: (f32, f32), (fx, fy): (f32, f32)) -> f32 {
 /// Length, in pixels, of the parts of a row within which positions are interpolated linearly.
 const PIECE: usize = 16;
 
-/// The paraboloid around the best correlation of a tile.
+/// The paraboloid through the correlations around a tile's best match.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Peak {
     at: Shift,
@@ -125,8 +128,8 @@ pub(crate) struct Peak {
 }
 
 impl Peak {
-    /// The paraboloid through a shift and its eight neighbours, whose correlations `at` returns; none where one of them
-    /// is NaN.
+    /// Returns the paraboloid through the correlations at a shift and at its eight neighbours; none if one of them is
+    /// NaN, or if they have no maximum along x or y. `at` returns the correlation at a shift.
     pub(crate) fn around((x, y): Shift, mut at: impl FnMut(Shift) -> f32) -> Option<Self> {
         let mut c = [[0.0f64; 3]; 3];
         for (j, row) in (-1..).zip(&mut c) {
@@ -145,8 +148,8 @@ impl Peak {
         known.then(|| Peak { at: (x, y), gradient, sharpness: [xx, xy.clamp(-limit, limit), yy] })
     }
 
-    /// The displacement of the tile with this centre. With the sharpness S and the gradient g, the peak is at `at` +
-    /// S^-1 g, so the pull is S `at` + g.
+    /// Returns the displacement of the tile with this centre. With the sharpness S and the gradient g at `at`, the peak
+    /// is at `at` + S^-1 g, so `pull`, which is S times the displacement, is S `at` + g.
     pub(crate) fn about(&self, centre: [f64; 2]) -> TileDisplacement {
         let [xx, xy, yy] = self.sharpness;
         let (x, y) = (self.at.0 as f64, self.at.1 as f64);
@@ -155,12 +158,12 @@ impl Peak {
     }
 }
 
-/// The pixels of a tile in the reference minus their mean; 0 where the weight is too small.
+/// The pixels of a tile in the reference minus their mean; 0 where the weight is below `LEAST_WEIGHT`.
 pub(crate) struct Pattern {
     left: usize,
     top: usize,
     side: usize,
-    /// By rows.
+    /// The pixels, row by row.
     values: Vec<f32>,
     /// 1 where a pixel has enough weight, 0 elsewhere.
     mask: Vec<f32>,
@@ -189,23 +192,24 @@ impl Pattern {
         self.energy < 4.0 * LEAST_CONTRAST * LEAST_CONTRAST * self.count
     }
 
-    /// The correlation with the frame shifted by `shift`; NaN outside the frame.
+    /// Returns the correlation with the frame shifted by `shift`; NaN if a needed pixel is outside the frame.
     pub(crate) fn correlation(&self, warped: &Warped, shift: Shift) -> f32 {
         let [sum, squares, products] = vectorised(Moments { pattern: self, warped, shift });
         let variance = squares - sum * sum / self.count;
-        // The lower limit of the variance keeps the correlation low where the frame has no structure.
+        // Where the frame has no structure, its variance is close to 0. The lower limit keeps the correlation low
+        // there.
         if variance.is_nan() { f32::NAN } else { products / (self.energy * variance.max(0.25 * self.count)).sqrt() }
     }
 }
 
-/// Subtracts the mean from the pixels with weight, and sets the others to 0.
+/// Subtracts the mean of the pixels with enough weight from them, and sets the other pixels to 0.
 struct Centre<'a> {
     values: &'a mut [f32],
     mask: &'a [f32],
 }
 
 impl Loops for Centre<'_> {
-    /// The number of pixels with weight, and the sum of the squares of the values.
+    /// The number of pixels with enough weight, and the sum of the squares of the resulting values.
     type Output = (f32, f32);
 
     #[inline(always)]
@@ -230,7 +234,7 @@ impl Loops for Centre<'_> {
     }
 }
 
-/// Computes the sums of a correlation of a pattern with the frame shifted by `shift`.
+/// Computes the sums from which the correlation of a pattern with the frame shifted by `shift` follows.
 struct Moments<'a> {
     pattern: &'a Pattern,
     warped: &'a Warped,
@@ -245,7 +249,7 @@ impl Loops for Moments<'_> {
     fn run(self) -> Self::Output {
         let Moments { pattern, warped, shift: (dx, dy) } = self;
         let (mut sums, mut squares, mut products) = ([0.0f32; LANES], [0.0f32; LANES], [0.0f32; LANES]);
-        // The sums over the last columns, which do not fill a vector.
+        // The sums over the last columns of each row, whose number is less than `LANES`.
         let mut rest = [0.0f32; 3];
         let margin = warped.reach();
         let left = (pattern.left as isize + margin + dx) as usize;
@@ -279,12 +283,12 @@ const LANES: usize = 8;
 
 /// Returns the sum of `lanes`.
 ///
-/// Not inlined: with the order of these additions in view, the compiler splits the vectors of the loops before them,
-/// which makes them five times slower.
+/// Not inlined: if the compiler sees the order of these additions, it splits the vectors of the loops before the call,
+/// which makes these loops five times slower.
 #[inline(never)]
 fn total(lanes: &[f32; LANES]) -> f32 {
     lanes.iter().sum()
 }
 
-/// Whole pixels to the right and down.
+/// A shift of whole pixels: (to the right, down).
 pub(crate) type Shift = (isize, isize);

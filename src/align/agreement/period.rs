@@ -1,11 +1,12 @@
-//! The periods of a picture that repeats itself, so that a frame matches it in more than one place.
+//! The periods of a picture that repeats itself. A frame of such a picture matches it at more than one shift.
 //!
 //! In: a grey pyramid. Out: the shifts under which the picture matches itself. Cost: nine patches of 32 x 32 pixels,
-//! correlated at every second shift within reach on a small level: some 10 ms. Source: normalised cross-correlation
-//! (Lewis 1995) of the picture with itself.
+//! correlated at every second shift within the search range on a small pyramid level: some 10 ms. Source: normalised
+//! cross-correlation (Lewis 1995) of the picture with itself.
 //!
-//! The similarity of a picture to itself falls with the length of the shift. In a picture that does not repeat, it
-//! stays low. In a facade, it is high again at the period, and low at half the period.
+//! The longer the shift, the less similar a picture is to its shifted self. In a picture that does not repeat, the
+//! similarity stays low. In a facade, it is high again when the shift is the period, and low when it is half the
+//! period.
 
 use crate::align::agreement::pattern::{Pattern, Shift, Warped};
 use crate::align::agreement::{Agreement, check_tiles};
@@ -16,35 +17,35 @@ use crate::statistics::median;
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 
-/// Largest number of pixels of the level that is examined. The level is fine enough to show the joints of a tiled wall.
+/// Largest number of pixels of the pyramid level that is examined. Such a level still shows the joints of a tiled wall.
 const PIXELS: usize = 200_000;
-/// Side of a patch, in pixels of the level.
+/// Side of a patch, in pixels of the examined level.
 const SIDE: usize = 32;
 /// Number of patches along each side of the picture.
 const PATCHES: usize = 3;
 /// A shift is not examined if fewer patches than this can be compared under it.
 const LEAST_PATCHES: usize = 6;
-/// Distance of the shifts that are compared, in pixels of the level, which is smoothed with a standard deviation of
-/// one.
+/// Distance between neighbouring shifts that are tried, in pixels of the examined level. The level is smoothed with a
+/// standard deviation of one pixel, so the similarity changes little within this distance.
 const STRIDE: isize = 2;
-/// Smallest period that is detected, in pixels of the level.
+/// Smallest period that is detected, in pixels of the examined level.
 const LEAST: isize = 6;
-/// A shift is a period only if the similarity under it is at least this.
+/// A shift is a period only if the similarity under it (the median correlation of the patches) is at least this.
 const ALIKE: f64 = 0.9;
 /// A shift is a period only if the dissimilarity under it (1 - similarity) is less than this multiple of the
 /// dissimilarity under half the shift.
 const NEARER: f64 = 0.5;
-/// A shift is a period only if the agreeing tiles under it outnumber the disagreeing ones by at least this share of all
-/// tiles with contrast. This is half of the share of evidence that makes a shifted alignment of a frame comparable with
-/// the true one (`COMPARABLE_EVIDENCE`), because noise reduces the evidence of the true one.
+/// A shift is a period only if the tiles that agree under it outnumber the disagreeing ones by at least this share of
+/// all tiles with contrast. The value is half of `COMPARABLE_EVIDENCE`, the share of the evidence at which a shifted
+/// alignment of a frame counts as comparable with the true one: noise reduces the evidence of the true alignment.
 const LEAST_EVIDENCE: f64 = 0.2;
-/// Largest number of periods that are returned. The shifts with the greatest similarity are used.
+/// Largest number of shifts that are confirmed and returned: those with the greatest similarity.
 const MOST: usize = 6;
 
-/// The shifts, in pixels of the full size, under which `picture` matches itself; none if it does not repeat. Of a shift
-/// and its opposite only one is returned.
+/// Returns the shifts, in pixels of the full size, under which `picture` matches itself; none if it does not repeat. Of
+/// a shift and its opposite, only one is returned.
 ///
-/// `max_shift` is the largest that is searched, as a share of the long side.
+/// `max_shift` is the largest shift that is searched, as a share of the long side.
 pub(crate) fn periods(picture: &GreyPyramid, max_shift: f64) -> Vec<(f64, f64)> {
     let level = level_within(picture, PIXELS);
     let (width, height) = picture.size(level);
@@ -65,13 +66,14 @@ pub(crate) fn periods(picture: &GreyPyramid, max_shift: f64) -> Vec<(f64, f64)> 
             |at: usize, shift: isize, length: usize| at.checked_add_signed(shift).is_some_and(|at| at + SIDE <= length);
         let (mut alike, mut unlike) = (Vec::with_capacity(patches.len()), 0);
         for ((left, top), pattern) in &patches {
-            // If the shift moves a patch outside the picture, the patch is compared in the opposite direction.
+            // If the shift moves a patch outside the picture, the opposite shift is used for this patch.
             let is_inside = |&(dx, dy): &Shift| within(*left, dx, width) && within(*top, dy, height);
             let Some(shift) = [(dx, dy), (-dx, -dy)].into_iter().find(is_inside) else { continue };
             let correlation = pattern.correlation(&warped, shift);
             alike.push(correlation);
             unlike += usize::from(f64::from(correlation) < ALIKE);
-            // The median is below `ALIKE`, whatever the similarity of the remaining patches is.
+            // More than half of all patches are below `ALIKE`. So the median is below it too, whatever the remaining
+            // patches give.
             if 2 * unlike > patches.len() && alike.len() >= LEAST_PATCHES {
                 break;
             }
@@ -79,7 +81,7 @@ pub(crate) fn periods(picture: &GreyPyramid, max_shift: f64) -> Vec<(f64, f64)> 
         if alike.len() < LEAST_PATCHES { f64::NAN } else { median(alike).map_or(f64::NAN, f64::from) }
     };
     let steps = (max_shift * width.max(height) as f64) as isize / STRIDE;
-    // Shifts by d and by -d have the same similarity, so half of them suffice.
+    // Shifts by d and by -d have the same similarity, so only half of them are computed.
     let side = 2 * steps + 1;
     let all: Vec<f64> = (0..side * (steps + 1))
         .into_par_iter()
@@ -115,20 +117,20 @@ pub(crate) fn periods(picture: &GreyPyramid, max_shift: f64) -> Vec<(f64, f64)> 
     periods
 }
 
-/// Returns the refined shift, in pixels of the full size, if tiles all over the picture match under it: if at least
-/// `least` more tiles agree than disagree. The few patches of [`periods`] may also match in a picture that does not
-/// repeat, for example on the parts of a lampshade.
+/// Returns the refined shift, in pixels of the full size, if tiles all over the picture match under it: the agreeing
+/// tiles must outnumber the disagreeing ones by at least `least`. Without this check, the few patches of [`periods`]
+/// may match in a picture that does not repeat, for example on the parts of a lampshade.
 fn confirmed(pair: &FramePair, (dx, dy): (f64, f64), least: f64) -> Option<(f64, f64)> {
     let (width, height) = pair.size();
     let measured = measured_level(pair.reference());
-    // The shift is exact to a pixel of the level of the patches.
+    // The shift is known to about one pixel of the level on which [`periods`] compared the patches.
     let start = Transform::Rigid { dx, dy, angle: 0.0 };
     let h = refine(pair, &start, Model::Shift, (measured + 1, measured))?.transform.matrix(width, height);
     let shifted = agreement(pair, &h);
     (shifted.agreeing as f64 - shifted.disagreeing as f64 >= least).then_some((h[(0, 2)], h[(1, 2)]))
 }
 
-/// Returns the agreement of all tiles under `h`, in pixels of the full size.
+/// Returns the agreement of all tiles under the transform `h`, which is in pixels of the full size.
 fn agreement(pair: &FramePair, h: &Matrix3<f64>) -> Agreement {
     let measured = measured_level(pair.reference());
     check_tiles(pair.level(measured), &on_level(h, measured)).agreement
@@ -151,7 +153,7 @@ mod tests {
         for seed in 1..6 {
             let scene = Scene::new(seed);
             assert_eq!(periods(&taken(&|x, y| scene.radiance(x, y)), REACH), [], "{seed}");
-            // A skyline is similar to itself under a small shift, and the more so the smaller the shift: this is not a
+            // A skyline is similar to itself under a small shift, the more so the smaller the shift. This is not a
             // period.
             let skyline = |x: f64, y: f64| if y < 150.0 + 0.1 * x { 4.0 } else { 0.1 * scene.radiance(x, y) };
             assert_eq!(periods(&taken(&skyline), REACH), [], "{seed}");

@@ -8,7 +8,7 @@ use crate::plane::Plane;
 
 const SIZE: (usize, usize) = (480, 320);
 
-/// The agreement of two exposures with the transform `claimed`.
+/// Returns the agreement of two exposures with the transform `claimed`.
 fn agreement_of(reference: &Plane<u8>, frame: &Plane<u8>, claimed: &Transform) -> Agreement {
     let h = claimed.matrix(SIZE.0, SIZE.1);
     check_tiles(&CommonExposure::new(reference, frame, &ToneTables::between(reference, frame, &h)), &h).agreement
@@ -30,10 +30,10 @@ fn the_truth_is_borne_out_and_errors_are_measured() {
         // The position of a tile of 900 pixels is measured with an error of some hundredths of a pixel
         // (`TILE_NOISE_PX`).
         assert!(right.offset < 0.1, "{right:?}");
-        // All tiles measure an error of half a pixel.
+        // Here the transform is off by (0.3, -0.4), which is half a pixel. All tiles must measure this.
         let near = agreement_of(&reference, &frame, &rigid(4.3 + 0.3, -2.2 - 0.4, 0.6));
         assert!(near.disagreeing == 0 && (near.offset - 0.5).abs() < 0.1, "{near:?}");
-        // Five pixels is beyond the tiles' reach.
+        // Here it is off by five pixels, which is beyond the search range of the tiles.
         let far = agreement_of(&reference, &frame, &rigid(4.3 + 3.0, -2.2 - 4.0, 0.6));
         assert!(far.disagreeing > 2 * far.agreeing, "{far:?}");
         assert!(far.share() < 0.35 && right.share() > 0.9);
@@ -43,8 +43,8 @@ fn the_truth_is_borne_out_and_errors_are_measured() {
 #[test]
 fn moving_object_contradicts_only_in_its_tiles() {
     let scene = Scene::new(31);
-    // Tiles are 30 px. The moving object covers 4 x 3 tiles; with the ring of tiles around these, which it may touch, 6
-    // x 5.
+    // Tiles are 30 px wide. The moving object covers 4 x 3 tiles. It may also affect the ring of tiles around them, so
+    // at most 6 x 5 tiles disagree.
     let with_mover = |x: f64, y: f64| {
         let inside = (150.0..270.0).contains(&x) && (90.0..180.0).contains(&y);
         scene.radiance(if inside { x + 40.0 } else { x }, y)
@@ -73,7 +73,7 @@ fn plain_and_clipped_pictures_are_silent() {
 fn outside_the_frame_tiles_are_silent() {
     let truth = shift(120.0, 0.0);
     let found = agreement_of(&taken(&Transform::Identity, 0.0), &taken(&truth, 0.5), &truth);
-    // The frame does not show the columns from 360 on: at least four of the sixteen columns of tiles are undecided,
+    // The frame does not show the columns from 360 on. So at least four of the sixteen columns of tiles are undecided,
     // with ten tiles each.
     assert!(found.undecided >= 40 && found.agreeing + found.disagreeing <= 120 && found.agreeing > 60, "{found:?}");
     assert_eq!(found.disagreeing, 0, "{found:?}");
@@ -81,8 +81,8 @@ fn outside_the_frame_tiles_are_silent() {
 
 #[test]
 fn gain_and_offset_do_not_matter() {
-    // The frame's plane is replaced by its grey values without the intensity map, which would remove gain and offset:
-    // the correlation must not depend on them.
+    // The correlation must not depend on gain and offset. The intensity map would remove them, so the frame's plane is
+    // replaced by its grey values without the map.
     let float = |p: &Plane<u8>, gain: f32, offset: f32| {
         Plane::from_vec(SIZE.0, SIZE.1, p.as_slice().iter().map(|&v| gain * f32::from(v) + offset).collect())
     };

@@ -1,14 +1,16 @@
 //! The check of one tile: its best correlation within a few pixels around its position.
 //!
 //! In: two frames at a common exposure, the second warped to the reference's grid, and a tile. Out: whether the tile
-//! agrees, and the paraboloid of its correlations. Cost: some twenty correlations, with three multiply-adds per pixel.
+//! agrees, and the paraboloid of its correlations. Cost: about twenty correlations, each with three multiply-adds per
+//! pixel.
 //! Source: Lewis 1995 (see [`agreement`](crate::align::agreement)).
 
 use crate::align::agreement::REACH;
 use crate::align::agreement::pattern::{Pattern, Peak, Shift, Warped};
 use crate::align::photometric::CommonExposure;
 
-/// The result for one tile: `correlation` at its position, `offset` of the best match in pixels.
+/// The result for one tile. `correlation` is the one at the position given by the transform. `offset` is the distance
+/// of the best match from this position, in pixels.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Tile {
     Undecided,
@@ -20,14 +22,14 @@ pub(super) enum Tile {
     Disagrees {
         correlation: f32,
     },
-    /// It stayed at the same pixels, although the transform predicts a displacement.
+    /// The tile stayed at the same pixels, although the transform predicts a displacement.
     Still {
         correlation: f32,
     },
 }
 
 impl Tile {
-    /// The correlation at its position; none where it is undecided.
+    /// Returns the correlation at the position given by the transform; none for an undecided tile.
     pub(super) fn correlation(&self) -> Option<f32> {
         match *self {
             Tile::Undecided => None,
@@ -45,11 +47,11 @@ struct Correlations<'a> {
     known: [[Option<f32>; SPAN]; SPAN],
 }
 
-/// Number of shifts along an axis.
+/// Number of shifts that are searched along an axis.
 const SPAN: usize = 2 * REACH as usize + 1;
 
 impl Correlations<'_> {
-    /// The correlation at a shift; NaN beyond [`REACH`].
+    /// Returns the correlation at a shift; NaN beyond [`REACH`].
     fn at(&mut self, (dx, dy): Shift) -> f32 {
         if dx.abs() > REACH || dy.abs() > REACH {
             return f32::NAN;
@@ -77,8 +79,9 @@ impl Correlations<'_> {
         }
     }
 
-    /// Returns where the parabola through the correlations at (x, y) and at its two neighbours in direction (dx, dy)
-    /// has its maximum: an offset from (x, y), in steps of (dx, dy), of -1/2..=1/2; 0 if there is no maximum.
+    /// Returns the offset from (x, y) to the maximum of a parabola, in steps of (dx, dy) and clamped to -1/2..=1/2; 0
+    /// if there is no maximum. The parabola goes through the correlations at (x, y) and at its two neighbours in
+    /// direction (dx, dy).
     fn vertex(&mut self, (x, y): Shift, (dx, dy): Shift) -> f32 {
         let (before, here, after) = (self.at((x - dx, y - dy)), self.at((x, y)), self.at((x + dx, y + dy)));
         let bend = before - 2.0 * here + after;
@@ -88,7 +91,7 @@ impl Correlations<'_> {
 
 /// Checks the tile of `side` x `side` pixels whose top-left pixel is (`left`, `top`).
 ///
-/// `unmoved` returns the frame without any motion; none where the transform moves the tile by no more than [`REACH`].
+/// `unmoved` returns the frame without any motion; none if the transform moves the tile by no more than [`REACH`].
 pub(super) fn check_tile<'w>(
     both: &CommonExposure,
     warped: &Warped,
@@ -103,8 +106,8 @@ pub(super) fn check_tile<'w>(
         return Tile::Undecided;
     }
     let mut best = correlations.climb((0, 0));
-    // The planes are smoothed, so the correlation is smooth: a higher maximum within reach raises it at the edge of the
-    // range too.
+    // There may be a higher maximum elsewhere within the range. The planes are smoothed, so such a maximum is wide and
+    // also raises the correlation at the edge of the range. Therefore the edge is searched too.
     for start in RIM {
         if correlations.at(start) > best.0 {
             best = correlations.climb(start);
@@ -132,8 +135,8 @@ pub(super) fn check_tile<'w>(
 /// Shifts at the edge of the range, from which the search for other maxima starts.
 const RIM: [Shift; 8] = [(-3, -3), (0, -3), (3, -3), (-3, 0), (3, 0), (-3, 3), (0, 3), (3, 3)];
 
-/// A tile counts as still only if its correlation with the unmoved frame exceeds this.
+/// A tile counts as still (not moved) only if its correlation with the unmoved frame exceeds this.
 const LEAST_STILL: f32 = 0.7;
 
-/// Least correlation of an agreeing tile.
+/// Least correlation that an agreeing tile must have at the position given by the transform.
 const LEAST_CORRELATION: f32 = 0.4;

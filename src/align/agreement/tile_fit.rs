@@ -1,12 +1,12 @@
 //! The transform that fits the displacements of the tiles best.
 //!
-//! In: a [`TileCheck`] of a transform. Out: the small change that moves most tiles to their best match, and its error
-//! estimate. Cost: negligible compared with the check. Source: Newton's method on the sum of the correlations; tiles on
-//! moving objects are down-weighted (Tukey's biweight).
+//! In: a [`TileCheck`] of a transform. Out: the small change of the transform that moves most tiles to their best
+//! match, and its error estimate. Cost: negligible compared with the check. Source: Newton's method on the sum of the
+//! tiles' correlations; tiles on moving objects are down-weighted (Tukey's biweight).
 //!
-//! Flare, motion blur, and noise that bends the intensity map change the grey values at all edges in the same
-//! direction, and [`refinement`](crate::align::refinement) takes this for motion. The fit to the tiles is not affected,
-//! because correlation does not depend on a tile's own gain and offset.
+//! Flare, motion blur, and noise that distorts the intensity map all change the grey values at all edges in the same
+//! direction. [`refinement`](crate::align::refinement) mistakes this change for motion. The fit to the tiles is not
+//! affected, because correlation does not depend on a tile's own gain and offset.
 
 use crate::align::agreement::{TileCheck, TileDisplacement};
 use crate::align::transform::{Increment, Model};
@@ -15,7 +15,7 @@ use nalgebra::{DMatrix, DVector, Matrix3};
 
 /// With fewer tiles than this, nothing is fitted.
 const LEAST_TILES: usize = 8;
-/// Factor by which the standard error is increased because neighbouring tiles are correlated.
+/// Factor by which the standard error is increased, because the errors of neighbouring tiles are correlated.
 const CORRELATION_FACTOR: f64 = 1.5;
 /// Number of rounds of reweighting.
 const ROUNDS: usize = 5;
@@ -25,16 +25,17 @@ const ROUNDS: usize = 5;
 pub(crate) struct TileFit {
     /// The fitted transform, in pixels of the planes.
     pub(crate) h: Matrix3<f64>,
-    /// Its distance from the transform that was checked, as root mean square over the picture, in pixels of the planes.
+    /// The distance of the fitted transform from the checked one: root mean square over the picture, in pixels of the
+    /// planes.
     pub(crate) moved: f64,
-    /// Its error estimate, in the same unit.
+    /// The error estimate of the fitted transform, in the same unit.
     pub(crate) error: f64,
-    /// The root mean square change of the parameters, in units of its error: about 1 if the transform that was checked
-    /// is right.
+    /// The root mean square change of the parameters, divided by its standard error. It is about 1 if the checked
+    /// transform is right, because then only noise changes the parameters.
     pub(crate) significance: f64,
 }
 
-/// Fits a transform to the displacements of the tiles under `h`, for planes of `size`; none where they are too few.
+/// Fits a transform to the displacements of the tiles under `h`, for planes of `size`; none if there are too few tiles.
 pub(crate) fn fit(check_tiles: &TileCheck, h: &Matrix3<f64>, size: (usize, usize)) -> Option<TileFit> {
     let tiles = &check_tiles.displacements;
     if tiles.len() < LEAST_TILES {
@@ -52,7 +53,8 @@ pub(crate) fn fit(check_tiles: &TileCheck, h: &Matrix3<f64>, size: (usize, usize
         for ((tile, j), misfit) in tiles.iter().zip(&places).zip(&misfits) {
             let weight = biweight((misfit / variance).sqrt() / TUKEY) / variance;
             for p in 0..n {
-                // Displacements are in the reference's pixels: a tile found to the right moves the transform that way.
+                // Displacements are in the reference's pixels. If a tile matches farther right, the step moves the
+                // transform to the right, hence the minus sign: `solve` returns the solution of A step = -b.
                 b[p] -= weight * (j[p][0] * tile.pull[0] + j[p][1] * tile.pull[1]);
                 let pulled = times(tile, j[p]);
                 for q in 0..n {
@@ -70,13 +72,15 @@ pub(crate) fn fit(check_tiles: &TileCheck, h: &Matrix3<f64>, size: (usize, usize
     Some(TileFit { h: moved / moved[(2, 2)], moved: basis.mean_move(&step), error, significance })
 }
 
-/// The sharpness S of the tile times `v`.
+/// Returns the sharpness matrix S of the tile times `v`.
 fn times(tile: &TileDisplacement, v: [f64; 2]) -> [f64; 2] {
     let [xx, xy, yy] = tile.sharpness;
     [xx * v[0] + xy * v[1], xy * v[0] + yy * v[1]]
 }
 
-/// The residual (d - J s)^T S (d - J s) of a tile with the displacement d and the sharpness S after the step s.
+/// Returns the squared residual of a tile after the parameters have changed by `step` (s): (d - J s)^T S (d - J s),
+/// with the tile's displacement d, its sharpness S, and the derivatives J of its position with respect to the
+/// parameters (`j`).
 fn misfit(tile: &TileDisplacement, j: &[[f64; 2]; 8], step: &DVector<f64>) -> f64 {
     let mut moved = [0.0; 2];
     for (p, s) in step.iter().enumerate() {
@@ -85,7 +89,8 @@ fn misfit(tile: &TileDisplacement, j: &[[f64; 2]; 8], step: &DVector<f64>) -> f6
     }
     let fitted = times(tile, moved);
     let left = [tile.pull[0] - fitted[0], tile.pull[1] - fitted[1]];
-    // r^T S^-1 r. S is regularised, because along an edge both r and S vanish.
+    // With r = S (d - J s), which is `left`, the residual is r^T S^-1 r. Along an edge both r and S are zero, so a
+    // small multiple of the identity is added to S before it is inverted.
     let [xx, xy, yy] = tile.sharpness;
     let safe = 0.02 * (xx + yy) + 1e-12;
     let (xx, yy) = (xx + safe, yy + safe);

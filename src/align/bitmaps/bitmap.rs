@@ -54,18 +54,18 @@ impl Bitmap {
     }
 }
 
-/// Gathers the lowest bits of eight bytes into one byte: its bit i is that of byte i. All other bits of the bytes must
-/// be 0.
+/// Gathers the lowest bits of eight bytes into one byte: bit i of the result is the lowest bit of byte i. All other
+/// bits of the bytes must be 0.
 ///
 /// The constant is the sum of the terms 2^(7 (8 - j)) for j in 0..8. Byte i times term j sets bit 8 i + 7 (8 - j) of
-/// the product, a different bit for every pair (i, j), so there are no carries. The eight pairs with i = j set the top
-/// byte.
+/// the product. This is a different bit for every pair (i, j), so there are no carries. The eight pairs with i = j set
+/// the eight bits of the top byte.
 #[inline]
 fn gather(bytes: [u8; 8]) -> u64 {
     u64::from_le_bytes(bytes).wrapping_mul(0x0102_0408_1020_4080) >> 56
 }
 
-/// Packs 64 pixels into a word. `set` returns 1 for a pixel whose bit is set, else 0.
+/// Packs 64 pixels into a word. `set` returns 1 for a pixel whose bit is to be set, else 0.
 #[inline]
 fn pack(pixels: &[u8; 64], set: impl Fn(u8) -> u8) -> u64 {
     let flags = pixels.map(set);
@@ -76,7 +76,8 @@ fn pack(pixels: &[u8; 64], set: impl Fn(u8) -> u8) -> u64 {
 /// Returns the 64 bits of a padded row that start at pixel `bit`; bits outside the row are zero.
 #[inline]
 pub(crate) fn bits_from(row: &[u64], bit: i64) -> u64 {
-    // If fewer than two words of the padded row are left from `first` on, they are padding, which is zero.
+    // Pixel `bit` is in word `first` of the padded row. If the row has fewer than two words from there on, they are
+    // padding, which is zero; the same holds for a negative `first`.
     let first = usize::try_from((bit >> 6) + 1).unwrap_or(row.len());
     match row.get(first..).and_then(|r| r.first_chunk::<2>()) {
         Some(&[low, high]) => join(low, high, (bit & 63) as u32),
@@ -113,11 +114,12 @@ impl Zone {
 pub struct ThresholdBitmaps {
     /// Set where the pixel is brighter than the threshold.
     pub threshold: Bitmap,
-    /// Set where the pixel is compared: its value is so far from the threshold that noise does not change the side.
+    /// Set where the pixel is compared: its value is so far from the threshold that noise does not move it to the other
+    /// side.
     pub exclusion: Bitmap,
 }
 
-/// Words of a threshold bitmap, and the words of its exclusion bitmap at the same positions.
+/// Words of a threshold bitmap, and the words at the same positions of its exclusion bitmap.
 pub(super) type Words<'a> = (&'a [u64], &'a [u64]);
 
 impl ThresholdBitmaps {
@@ -165,7 +167,7 @@ impl ThresholdBitmaps {
 pub(crate) mod tests {
     use super::*;
 
-    /// Blocks of several sizes, the same for the same seed.
+    /// Returns a picture of blocks of 7 x 5 pixels with pseudorandom grey values, the same for the same seed.
     pub(crate) fn scene(width: usize, height: usize, seed: usize) -> Plane<u8> {
         Plane::from_rows(width, height, |y, row| {
             for (x, v) in row.iter_mut().enumerate() {

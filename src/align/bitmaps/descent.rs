@@ -1,11 +1,12 @@
 //! Sub-pixel refinement of the bitmap search: the minimum of the XOR counts.
 //!
 //! In: the bitmaps of two frames at one level, and a motion that is off by a pixel or two. Out: the motion at which the
-//! fewest pixels differ, and its error estimate. Cost: a round warps the frame once and counts ten times; two to four
-//! rounds are enough. Nothing but the observations is allocated after [`Descent::new`]. Source: the counts are Ward's
-//! (2003, section 2). The thesis tries one angle after another (chapter 4). Here the picture is divided into a grid of
-//! cells. The counts under shifts of up to two pixels give the displacement of each cell, and shift and rotation are
-//! the least-squares fit to all cells.
+//! fewest pixels differ, and its error estimate. Cost: each round warps the frame once and counts the differing pixels
+//! ten times; two to four rounds are enough. Nothing but the observations is allocated after [`Descent::new`].
+//!
+//! Source: the counts are Ward's (2003, section 2). The thesis on which hdralign is based tries one angle after another
+//! (chapter 4). Here the picture is divided into a grid of cells instead. The counts under shifts of up to two pixels
+//! give the displacement of each cell, and a shift and a rotation are fitted to all cells by least squares.
 
 use crate::align::bitmaps::difference::{Difference, Mismatches, difference_shifted, mismatches};
 use crate::align::bitmaps::{Motion, Rounding, ThresholdBitmaps};
@@ -15,32 +16,33 @@ use nalgebra::{SMatrix, SVector};
 const SETTLED: f64 = 0.02;
 /// The rate (share of differing pixels) is valid only if at least this share of the pixels is compared.
 pub(crate) const LEAST_COMPARED: f64 = 0.1;
-/// Number of cells along a side of the picture. Each cell gives observations of the motion.
+/// Largest number of cells along a side of the picture. Each cell gives observations of the motion.
 const CELLS: usize = 6;
-/// Prior standard deviation of each parameter, in pixels of the level.
+/// Prior standard deviation of each fitted parameter, whose prior mean is 0, in pixels of the level.
 const PRIOR_PX: f64 = 1.0;
-/// The largest step of a round, in pixels of the level: that of the farthest displacement in [`STEPS`].
+/// The largest step of a round, in pixels of the level: the largest displacement in [`STEPS`].
 const LONGEST_STEP: f64 = 2.0;
-/// Number of times that the observations are weighted again by their residuals.
+/// Number of times that the observations get new weights, computed from their residuals.
 const REWEIGHTED: usize = 3;
-/// Displacements at which mismatches are counted, in pixels.
+/// Displacements at which mismatches are counted along each axis, in pixels.
 const STEPS: [i64; 5] = [-2, -1, 0, 1, 2];
 /// The eight nearest shifts, as (right, down).
 const NEIGHBOURS: [(i64, i64); 8] = [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)];
-/// Number of points along a side over which the error is averaged.
+/// Number of points along a side of the grid over which the error is averaged.
 const GRID: usize = 7;
 
 /// Number of parameters of the fit.
 ///
-/// Eight are those of a homography near the identity, with positions in picture heights from the centre. The ninth is
-/// the difference between the thresholds of frame and reference, as the displacement of an edge that it causes.
+/// The first eight are those of a homography near the identity, with positions in picture heights from the centre. The
+/// ninth stands for the difference between the thresholds of frame and reference. Its value is the displacement of an
+/// edge that this difference causes.
 const UNKNOWNS: usize = 9;
 type Row = SVector<f64, UNKNOWNS>;
 type Square = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 
 /// An equation for the parameters, from one kind of edge of one cell along one axis (see [`Descent::observations`]):
-/// `row` . parameters = `value`, in pixels. If all differing pixels were independent, its variance would be 1 /
-/// `weight`.
+/// the scalar product of `row` and the parameters equals `value`, in pixels. If all differing pixels were independent,
+/// the variance of `value` would be 1 / `weight`.
 #[derive(Debug, Clone, Copy)]
 struct Observation {
     row: Row,
@@ -57,7 +59,7 @@ pub(crate) struct Descent<'a> {
 }
 
 impl<'a> Descent<'a> {
-    /// Prepares a descent with rotations of at most `max_angle` radians in either direction; 0 allows none.
+    /// Prepares a descent with rotations of at most `max_angle` radians in either direction; 0 allows no rotation.
     pub(crate) fn new(reference: &'a ThresholdBitmaps, frame: &'a ThresholdBitmaps, max_angle: f64) -> Self {
         let warped = ThresholdBitmaps::blank(reference.threshold.width(), reference.threshold.height());
         Descent { reference, frame, warped, max_angle }
@@ -71,34 +73,36 @@ impl<'a> Descent<'a> {
         self.reference.threshold.height()
     }
 
-    /// Returns the root mean square distance of a pixel from the centre, in pixels.
+    /// Returns the root mean square distance of the picture's pixels from its centre, in pixels.
     pub(crate) fn arm(&self) -> f64 {
         let (width, height) = (self.width() as f64, self.height() as f64);
         ((width * width + height * height) / 12.0).sqrt()
     }
 
-    /// Returns the share of pixels that differ with the warped frame shifted by (`right`, `down`); 1 where too few can
-    /// be compared.
+    /// Returns the share of pixels that differ if the warped frame is shifted by (`right`, `down`); 1 if too few pixels
+    /// can be compared.
     fn rate_beside(&self, right: i64, down: i64) -> f64 {
         let difference = difference_shifted(self.reference, &self.warped, right, down);
         let area = (self.width() * self.height()) as f64;
         if (difference.compared as f64) < LEAST_COMPARED * area { 1.0 } else { difference.rate() }
     }
 
-    /// Returns the share of pixels that differ under `motion`; 1 where too few can be compared.
+    /// Returns the share of pixels that differ under `motion`; 1 if too few pixels can be compared.
     pub(crate) fn rate(&mut self, motion: &Motion, rounding: Rounding) -> f64 {
         self.frame.warp_onto(motion, rounding, &mut self.warped);
         self.rate_beside(0, 0)
     }
 
-    /// Descends from `start` to a motion none of whose neighbours has a lower rate; returns the rate and the motion.
+    /// Descends from `start` until no neighbouring motion has a lower rate (share of differing pixels), in at most
+    /// eight rounds; returns the rate and the motion.
     ///
-    /// The neighbours are, in turn, the eight nearest shifts, and the rotations in either direction that move a pixel
-    /// by half a pixel or by one (root mean square). Used for small pictures, whose cells have too few edges.
+    /// The neighbours are tried in this order: the eight nearest shifts, then rotations in either direction that move
+    /// the pixels by half a pixel or by one pixel (root mean square). This method is for small pictures, whose cells
+    /// have too few edges for [`descend`](Self::descend).
     pub(crate) fn descend_by_pixels(&mut self, start: Motion) -> (f64, Motion) {
         let mut best = (self.rate(&start, Rounding::Nearest), start);
         let step = 0.5 / self.arm();
-        // Each round but the last lowers the rate; the bound limits the time on noisy plateaus.
+        // Each round but the last lowers the rate. The limit of eight rounds bounds the time on noisy plateaus.
         for _ in 0..8 {
             let centre = best.1;
             self.frame.warp_onto(&centre, Rounding::Nearest, &mut self.warped);
@@ -145,12 +149,12 @@ impl<'a> Descent<'a> {
         here
     }
 
-    /// Returns the differing pixels under `motion`, and its error estimate: root mean square over the picture, in
-    /// pixels of the level.
+    /// Returns the differing pixels under `motion`, and the error estimate of `motion`: root mean square over the
+    /// picture, in pixels of the level.
     ///
-    /// The square of the error is the sum of two parts: the variance of the fitted shift and rotation, and the mean
-    /// square change that a homography fitted to the same observations would make, minus the part of this change that
-    /// is expected by chance.
+    /// The square of the error is the sum of two parts. The first is the variance of the fitted shift and rotation. The
+    /// second is for motion that is not a shift and rotation: the mean square change of position that a homography
+    /// fitted to the same observations would make, minus the value of this change that is expected by chance.
     pub(crate) fn assess(&mut self, motion: &Motion) -> (Difference, f64) {
         let observations = self.observations(motion);
         let difference = difference_shifted(self.reference, &self.warped, 0, 0);
@@ -175,19 +179,20 @@ impl<'a> Descent<'a> {
 
     /// Returns the observations of the error of `motion` in all cells.
     ///
-    /// Let a cell have edges that are brighter on the right, of total height p, and edges that are darker on the right,
-    /// of total height q. If the frame is displaced to the right by t, it is darker than the reference in p t pixels
-    /// and brighter in q t pixels; if it is displaced to the left, the other way round. Excluded pixels reduce each
-    /// count by the width of the exclusion zones. If the thresholds differ so that an edge is displaced by c, the
-    /// counts of one kind are reduced more and those of the other less. With the counts D(t) of darker and B(t) of
-    /// brighter pixels at displacement t, and the unknown displacement o,
+    /// Let a cell have edges that are darker on the right, of total height p, and edges that are brighter on the right,
+    /// of total height q. The reference's pixel x is compared with the frame's pixel x + t. If t > 0, the frame is
+    /// darker than the reference in p t pixels and brighter in q t pixels. If t < 0, it is brighter in p |t| pixels and
+    /// darker in q |t| pixels. Excluded pixels reduce each count by the width of the exclusion zones. If the thresholds
+    /// differ so that an edge is displaced by c, the counts of one kind of edge are reduced more and those of the other
+    /// kind less. Let D(t) be the number of darker pixels at t, B(t) that of brighter pixels, and o the unknown
+    /// displacement at which the frame matches. Then
     ///
-    /// D(1) + D(2) - B(-1) - B(-2) = -4 p (o - c),   B(1) + B(2) - D(-1) - D(-2) = -4 q (o + c),
+    /// D(1) + D(2) - B(-1) - B(-2) = -4 p (o - c), B(1) + B(2) - D(-1) - D(-2) = -4 q (o + c).
     ///
-    /// where p and q are the mean growth of the counts from t = 1 to 2 on both sides. This holds exactly for |o| <= 1
-    /// where edges are sharp, and for any o where the counts grow quadratically. In finely structured pictures the
-    /// counts only grow up to t = 1. There the growth from 0 to 1 and D(1) - B(-1) = -2 p (o - c) are more precise. At
-    /// o = 0 the left sides are 0 whatever the form of the counts.
+    /// Here p and q are measured as the mean growth of the counts from |t| = 1 to |t| = 2. The equations hold exactly
+    /// for |o| <= 1 if edges are sharp, and for any o if the counts grow quadratically. In finely structured pictures,
+    /// the counts only grow up to |t| = 1. There the growth from 0 to 1 and the equation D(1) - B(-1) = -2 p (o - c)
+    /// are more precise. If o and c are 0, the left sides are 0, whatever the form of the counts.
     fn observations(&mut self, motion: &Motion) -> Vec<Observation> {
         self.frame.warp_onto(motion, Rounding::Dithered, &mut self.warped);
         let (width, height) = (self.width(), self.height());
@@ -222,7 +227,7 @@ impl<'a> Descent<'a> {
                     let narrow = ((near - none) / 2.0, asymmetry[0] / 2.0, near / 4.0);
                     let weight = |(growth, _, variance): (f64, f64, f64)| growth * growth / variance.max(1.0);
                     let (growth, asymmetry, variance) = if weight(narrow) > weight(wide) { narrow } else { wide };
-                    // Growth of less than four standard deviations may be chance and is not an edge.
+                    // Growth of less than four standard deviations may be due to chance rather than to an edge.
                     if growth > 0.0 && growth * growth > 16.0 * variance {
                         let mut row = row;
                         row[UNKNOWNS - 1] = cut;
@@ -239,8 +244,8 @@ impl<'a> Descent<'a> {
     }
 }
 
-/// Returns the derivatives by each parameter of the displacement along `axis`, at a position in picture heights from
-/// the centre.
+/// Returns the derivatives of the displacement along `axis` (0 is x, 1 is y) with respect to each parameter, at the
+/// position (`x`, `y`) in picture heights from the centre.
 fn field(axis: usize, x: f64, y: f64) -> Row {
     Row::from(if axis == 0 {
         [1.0, x, y, 0.0, 0.0, 0.0, x * x, x * y, 0.0]
@@ -249,7 +254,7 @@ fn field(axis: usize, x: f64, y: f64) -> Row {
     })
 }
 
-/// The free parameters of a model, each as a combination of the nine parameters.
+/// The free parameters of a model. Each is a linear combination of the nine parameters, given as (index, factor).
 type Free = &'static [&'static [(usize, f64)]];
 const SHIFT: Free = &[&[(0, 1.0)], &[(3, 1.0)], &[(8, 1.0)]];
 const RIGID: Free = &[&[(0, 1.0)], &[(3, 1.0)], &[(2, -1.0), (4, 1.0)], &[(8, 1.0)]];
@@ -280,8 +285,8 @@ impl Fit {
             }
         }
         let mut fit = Fit { best: Row::zeros(), covariance: Square::zeros() };
-        // The actual variance is `noise` times that of independent pixels, because neighbouring pixels differ together.
-        // The residuals determine `noise`.
+        // Neighbouring pixels differ together. So the actual variance is `noise` times the variance for independent
+        // pixels. The residuals determine `noise`.
         let mut noise: f64 = 1.0;
         for pass in 0..=REWEIGHTED {
             let mut normal = Square::identity() / (PRIOR_PX * PRIOR_PX);
@@ -344,8 +349,8 @@ mod tests {
 
     #[test]
     fn a_frame_cut_brighter_is_not_moved() {
-        // Two slopes, 24 px long and wavy so that both axes contribute: one that rises to the right over the whole
-        // height, and one that falls to the right over a third of the height.
+        // There are two slopes, 24 px long and wavy so that both axes contribute. One slope rises to the right over the
+        // whole height. The other one falls to the right over a third of the height.
         let slopes = |x: f64, y: f64| {
             let wave = 12.0 * (y / 9.0).sin();
             let rise = |at: f64| ((x - at - wave) / 24.0).clamp(0.0, 1.0);
@@ -357,8 +362,9 @@ mod tests {
             ThresholdBitmaps::new(&grey, &Zone::about(level, 2))
         };
         let a = take(125);
-        // A threshold that differs by four code values displaces edges by a pixel. If this were ignored, the rising and
-        // the falling slope, with heights of 3 and 1, would displace the result by (3 - 1) / (3 + 1) = 0.5 px.
+        // A threshold that differs by four code values displaces edges by about a pixel. The rising and the falling
+        // slope have heights in the ratio 3 : 1. If the difference of the thresholds were ignored, the result would be
+        // off by (3 - 1) / (3 + 1) = 0.5 px.
         for level in [121, 125, 129] {
             let b = take(level);
             let found = Descent::new(&a, &b, 0.0).descend(Motion::default(), 6);

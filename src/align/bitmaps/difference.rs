@@ -1,8 +1,8 @@
 //! Comparison of bitmaps under a shift by XOR, AND and popcount, 64 pixels at a time.
 //!
-//! In: the bitmaps of two frames, and a shift. Out: the number of pixels that differ, in the overlap or in each cell of
-//! a grid. Cost: about 0.3 word operations per pixel; nothing is allocated. Source: Ward 2003, section 2.1 and its
-//! listing (see [`bitmaps`](crate::align::bitmaps)).
+//! In: the bitmaps of two frames, and a shift. Out: the number of pixels that differ, in the whole overlap or in each
+//! cell of a grid. Cost: about 0.3 word operations per pixel; nothing is allocated. Source: Ward 2003, section 2.1 and
+//! its listing (see [`bitmaps`](crate::align::bitmaps)).
 
 use crate::align::bitmaps::bitmap::{ThresholdBitmaps, Words, join};
 use crate::simd::{Loops, vectorised};
@@ -33,8 +33,8 @@ pub struct Mismatches {
     pub brighter: u64,
 }
 
-/// Returns the difference over the whole overlap when the frame's pixel (x + `dx`, y + `dy`) is compared with the
-/// reference's (x, y).
+/// Returns the difference over the whole overlap. The frame's pixel (x + `dx`, y + `dy`) is compared with the
+/// reference's pixel (x, y).
 pub fn difference_shifted(reference: &ThresholdBitmaps, frame: &ThresholdBitmaps, dx: i64, dy: i64) -> Difference {
     let mut sum = Difference::default();
     let mut add = |(reference, low, high): (Words<'_>, Words<'_>, Words<'_>)| {
@@ -45,14 +45,14 @@ pub fn difference_shifted(reference: &ThresholdBitmaps, frame: &ThresholdBitmaps
     let (words, stride) = (reference.threshold.stride() as i64 - 2, reference.threshold.stride() as i64);
     let (whole, height) = (dx >> 6, reference.threshold.height() as i64);
     if matches!(whole, -1 | 0) && dy.abs() < height {
-        // A shift by less than a word reads only padding beyond the end of a row, so that all rows can be compared as
-        // one sequence of words. The outermost words are padding too.
+        // If the shift is less than a word, a comparison beyond the end of a row reads only padding. So all rows can be
+        // compared as one sequence of words. Its first and last word are padding too, and are left out.
         let near = 0.max(-dy) * stride + 1..(height - 0.max(dy)) * stride - 1;
         add(overlap(reference, frame, near, dy * stride + whole));
         return sum;
     }
-    // A padded row has words + 2 words. For word i of the reference, 1..=words, both words i + whole and i + whole + 1
-    // of the frame must be among them.
+    // A padded row has words + 2 words. Word i of the reference (1..=words) is compared with two words of the frame,
+    // i + whole and i + whole + 1, which must both be inside the padded row.
     let (first, end) = (1.max(-whole), (words + 1).min(words + 1 - whole));
     if first < end {
         for y in 0.max(-dy)..height.min(height - dy) {
@@ -62,8 +62,8 @@ pub fn difference_shifted(reference: &ThresholdBitmaps, frame: &ThresholdBitmaps
     sum
 }
 
-/// Returns the words `near` of the reference, and for each of them two words of the frame, `far` and `far` + 1 farther
-/// on, in which the corresponding bits begin and end.
+/// Returns three ranges of words: the words `near` of the reference, and the words of the frame that start `far` and
+/// `far` + 1 words after them. The bits to be compared begin in the former and end in the latter.
 #[inline(always)]
 fn overlap<'a>(
     reference: &'a ThresholdBitmaps,
@@ -75,8 +75,8 @@ fn overlap<'a>(
     (reference.words(range(0)), frame.words(range(far)), frame.words(range(far + 1)))
 }
 
-/// Counts the differing and the compared pixels. The words of the frame begin `offset` bits into `low` and end in
-/// `high`.
+/// Counts the differing and the compared pixels. The frame's bits for a word of the reference begin `offset` bits into
+/// the word of `low` and end in the word of `high`.
 struct Count<'a> {
     reference: Words<'a>,
     low: Words<'a>,
@@ -103,10 +103,10 @@ impl Loops for Count<'_> {
     }
 }
 
-/// Counts the mismatches in each cell of a grid over the reference, with the frame's bitmaps shifted by (`dx`, `dy`),
-/// where |`dx`| is less than 64, the bits of a word.
+/// Counts the mismatches in each cell of a grid over the reference, with the frame's bitmaps shifted by (`dx`, `dy`).
+/// |`dx|` must be less than 64, the number of bits of a word.
 ///
-/// The grid has `columns` columns of whole words; `cells` holds its cells row by row.
+/// The grid has `columns` columns, each a number of whole words wide; `cells` holds its cells row by row.
 pub fn mismatches(
     reference: &ThresholdBitmaps,
     frame: &ThresholdBitmaps,
@@ -133,8 +133,8 @@ pub fn mismatches(
     }
 }
 
-/// Counts the mismatches of some rows of the reference, in up to [`WORDS`] words of each row, with the frame under a
-/// shift.
+/// Counts the mismatches in some rows of the reference, in up to [`WORDS`] words of each row, with the frame shifted by
+/// `shift`.
 struct Band<'a> {
     reference: &'a ThresholdBitmaps,
     frame: &'a ThresholdBitmaps,
@@ -147,8 +147,8 @@ struct Band<'a> {
 const WORDS: usize = 8;
 
 impl Loops for Band<'_> {
-    /// For each word, the number of compared pixels that are bright only in the reference, and that are bright only in
-    /// the frame.
+    /// For each word, the number of compared pixels that are bright only in the reference, and the number of those that
+    /// are bright only in the frame.
     type Output = ([u64; WORDS], [u64; WORDS]);
 
     #[inline(always)]
@@ -233,7 +233,7 @@ mod tests {
             mismatches(&a, &b, (dx, dy), 3, &mut cells);
             let whole = difference_shifted(&a, &b, dx, dy);
             assert_eq!(cells.iter().map(|p| p.darker + p.brighter).sum::<u64>(), whole.differing);
-            // `cells[4]`, the second of the second row, has words 2 and 3 (columns 128..256), and rows 10..20.
+            // `cells[4]`, the second cell of the second row, has words 2 and 3 (columns 128..256), and rows 10..20.
             let inside = |x: i64, y: i64| (128..256).contains(&x) && (10..20).contains(&y);
             let bright = |x: i64, y: i64| a.threshold.get(x as usize, y as usize);
             let slow = [true, false].map(|is_bright| {

@@ -2,14 +2,14 @@
 //! median.
 //!
 //! In: the grey pyramids of two frames. Out: an [`MtbMatch`]: the motion reference -> frame to some hundredths of a
-//! pixel, its error estimate, and the share of pixels that differ. Cost: about 30 ms of one core for 12 MP and 6 ms for
-//! 1024 x 768, starting from two grey planes. Source: Ward, "Fast, Robust Image Registration for Compositing High
-//! Dynamic Range Photographs from Hand-Held Exposures", JGT 8(2), 2003, section 2; the rotation follows chapter 4 of
-//! the thesis.
+//! pixel, its error estimate, and the share of pixels that differ under it. Cost: about 30 ms of one core for 12 MP and
+//! 6 ms for 1024 x 768, starting from two grey planes. Source: Ward, "Fast, Robust Image Registration for Compositing
+//! High Dynamic Range Photographs from Hand-Held Exposures", JGT 8(2), 2003, section 2; the rotation follows chapter 4
+//! of the thesis on which hdralign is based.
 //!
-//! Every shift and angle is tried on the coarsest level. A few candidates are followed from level to level by whole
-//! pixels. Once the level is large enough, those with few differing pixels are refined to the minimum of the XOR counts
-//! (`descent`), and the best one is kept.
+//! Every shift and angle within the search range is tried on the coarsest level. A few candidates are followed from
+//! level to level and improved by whole pixels. Once the level is large enough, the candidates with few differing
+//! pixels are refined to the minimum of the XOR counts (`descent`), and only the best one is kept.
 
 pub(crate) mod bitmap;
 mod descent;
@@ -34,7 +34,7 @@ use crate::align::transform::Transform;
 pub struct MtbOptions {
     /// The largest rotation searched, in degrees in either direction.
     pub max_rotation_deg: f64,
-    /// The largest shift searched at the coarsest level, as a fraction of the long side.
+    /// The largest shift that is searched, as a fraction of the long side.
     pub max_shift: f64,
     /// Half-width of the exclusion zone: pixels within this many grey values of the threshold are not compared (Ward:
     /// 4).
@@ -57,9 +57,10 @@ pub struct MtbMatch {
     pub error_px: f64,
     /// The percentile of the threshold, the same in both frames.
     pub percentile: Percentile,
-    /// The differing pixels of the whole overlap under the motion, on the finest level that is searched.
+    /// The pixels that differ under the motion, over the whole overlap of the frames, on the finest level that is
+    /// searched.
     pub difference: Difference,
-    /// The differing pixels without any motion, on the same level.
+    /// The pixels that differ without any motion, on the same level.
     pub difference_unmoved: Difference,
 }
 

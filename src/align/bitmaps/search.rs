@@ -12,8 +12,8 @@ use crate::plane::Plane;
 
 /// Finds the motion under which the bitmaps of `reference` and `frame` differ least.
 ///
-/// `finest` is the largest level searched. Levels of more than [`ENOUGH_PIXELS`] pixels are skipped, except the
-/// coarsest.
+/// `finest` is the index of the largest level that may be searched. Levels of more than [`ENOUGH_PIXELS`] pixels are
+/// skipped, except the coarsest level, which is always searched.
 pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, options: &MtbOptions) -> MtbMatch {
     let coarsest = reference.len() - 1;
     let finest = finest.clamp(level_within(reference, ENOUGH_PIXELS), coarsest);
@@ -30,8 +30,9 @@ pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, optio
             (a.dx - b.dx).abs().max((a.dy - b.dy).abs()) > 1.0 || (a.angle - b.angle).abs() > turn
         };
         if candidates.len() > 1 || !is_certain {
-            // Drops candidates whose rate of differing pixels is much higher than the lowest: sub-pixel refinement
-            // would not reduce it enough.
+            // Keeps the best two thirds of the candidates. If sub-pixel refinement follows, also drops the candidates
+            // whose rate of differing pixels is much higher than the lowest rate: refinement would not reduce it
+            // enough.
             let descended: Vec<(f64, Motion)> = candidates.iter().map(|&c| descent.descend_by_pixels(c)).collect();
             let least = descended.iter().fold(f64::INFINITY, |least, (rate, _)| rate.min(least));
             let near = descended.into_iter().filter(|(rate, _)| !is_certain || *rate <= MOST_EXCESS * least).collect();
@@ -63,11 +64,11 @@ pub fn search(reference: &GreyPyramid, frame: &GreyPyramid, finest: usize, optio
     }
 }
 
-/// Finds further motions under which the bitmaps nearly agree. There are such motions if facades repeat or surfaces are
+/// Finds further motions under which the bitmaps nearly agree. Such motions exist if facades repeat or surfaces are
 /// uniform.
 ///
-/// Tries all shifts on a level of moderate size, each with a rotation by `angle` radians. Returns at most `most`
-/// distinct motions, the best first.
+/// Tries all shifts within the search range on a level of moderate size, each with a rotation by `angle` radians.
+/// Returns at most `most` distinct motions, the best first.
 pub fn alternatives(
     reference: &GreyPyramid,
     frame: &GreyPyramid,
@@ -100,7 +101,7 @@ impl BitmapPair {
         BitmapPair::from_histograms(reference.level(level), frame.level(level), histograms, exclusion)
     }
 
-    /// The bitmaps of both frames, with thresholds at the same percentile of each histogram.
+    /// Returns the bitmaps of both frames, with thresholds at the same percentile of each histogram.
     fn from_histograms(
         reference: &Plane<u8>,
         frame: &Plane<u8>,
@@ -125,10 +126,10 @@ impl BitmapPair {
         self.size().0.min(self.size().1)
     }
 
-    /// Returns the largest horizontal and vertical shift searched, in pixels of this level.
+    /// Returns the largest horizontal and vertical shift that is searched, in pixels of this level.
     ///
-    /// The shifts are limited so that the work is at most [`MOST_WORK`] and an overlap of the frames remains. Neither
-    /// limit matters for pictures less than four times as long as wide.
+    /// The shifts are limited so that the work is at most [`MOST_WORK`] and that the frames still overlap. With the
+    /// default `max_shift`, neither limit matters for pictures up to three times as long as wide.
     fn reach(&self, max_shift: f64) -> (i64, i64) {
         let (width, height) = self.size();
         let reach = libm::ceil(max_shift * width.max(height) as f64) as i64;
@@ -140,7 +141,8 @@ impl BitmapPair {
         (x, y)
     }
 
-    /// Returns, for each whole-pixel shift up to `reach` after a rotation by `angle`, the share of pixels that differ.
+    /// Returns the share of pixels that differ for each whole-pixel shift up to `reach`, after a rotation by `angle`; 1
+    /// if too few pixels can be compared.
     fn rate_shifts(&self, angle: f64, reach: (i64, i64)) -> Vec<(f64, Motion)> {
         let (width, height) = self.size();
         let mut turned = ThresholdBitmaps::blank(width, height);
@@ -157,7 +159,8 @@ impl BitmapPair {
         rated
     }
 
-    /// Returns the best distinct motions among all whole shifts within [`reach`](Self::reach) and all angles.
+    /// Returns the best distinct motions among all whole-pixel shifts within [`reach`](Self::reach), each at all
+    /// angles.
     ///
     /// The angles are spaced so that each step moves the rim of the inscribed circle by a pixel.
     fn search_everywhere(&self, max_shift: f64, max_angle: f64) -> Vec<Motion> {
@@ -170,14 +173,14 @@ impl BitmapPair {
         })
     }
 
-    /// Returns the match at full size for the motion `found` on `level`; without motion if `found` is within
-    /// [`SIGNIFICANT`] times its error.
+    /// Returns the match at full size for the motion `found` on `level`. If this motion is at most [`SIGNIFICANT`]
+    /// times its error, returns the match without motion instead.
     fn conclude(&self, descent: &mut Descent, found: Motion, level: usize, full: (usize, usize)) -> MtbMatch {
         let scale = (1u64 << level) as f64;
         let (width, height) = self.size();
         let (mut difference, error) = descent.assess(&found);
         let mut error_px = scale * error;
-        // Halving drops odd columns and rows, which moves the centre of rotation.
+        // Halving drops odd columns and rows. This moves the centre of rotation, which is the centre of the level.
         let off = |full: usize, here: usize| (scale * here as f64 - full as f64) / 2.0;
         let (x, y) = (off(full.0, width), off(full.1, height));
         let (s, c) = (libm::sin(found.angle), libm::cos(found.angle));
@@ -196,7 +199,8 @@ impl BitmapPair {
     }
 }
 
-/// Returns the exclusion on `level`: every halving of the size halves the noise, but not the rounding to grey values.
+/// Returns the half-width of the exclusion zone on `level`. Every halving of the size halves the noise, but not the
+/// rounding to grey values, so the half-width is rounded up.
 fn exclusion_at(level: usize, exclusion: u8) -> u8 {
     exclusion.div_ceil(1 << level.min(7))
 }
@@ -208,28 +212,30 @@ const SIGNIFICANT: f64 = 2.0;
 /// It is fine enough for the periods of facades.
 const ALTERNATIVES_SIDE: usize = 128;
 
-/// Largest number of bitmap words compared per angle where every shift is tried, which takes some tenths of a second.
-/// Only [`alternatives`] reaches it, and only for pictures at least four times as long as wide.
+/// Largest number of bitmap words that are compared for one angle when every shift is tried. It takes some tenths of a
+/// second. With the default `max_shift`, only pictures much longer than wide reach this limit: in [`alternatives`] from
+/// about four times as long as wide.
 const MOST_WORK: i64 = 1 << 29;
 /// Overhead of a row, in words that could be compared in the same time.
 const ROW_WORDS: usize = 8;
 
-/// Number of candidates followed from the coarsest level on; each following level keeps two thirds of them.
+/// Number of candidates that are followed from the coarsest level on; each following level keeps two thirds of them.
 const BEAM: usize = 9;
 
-/// A candidate whose rate of differing pixels is more than this multiple of the lowest is dropped.
+/// A candidate is dropped if its rate of differing pixels is more than this multiple of the lowest rate.
 const MOST_EXCESS: f64 = 1.5;
 
 /// On levels whose short side has at least this many pixels, motions are refined to fractions of a pixel, and only the
 /// best candidate is followed.
 const CERTAIN_SIDE: usize = 200;
 
-/// Number of rounds of the descent on each level but the last.
+/// Number of rounds of the descent on each level but the finest.
 const ROUNDS: usize = 2;
-/// Number of rounds of the descent on the last level.
+/// Number of rounds of the descent on the finest level.
 const MOST_ROUNDS: usize = 4;
 
-/// Returns at most `most` motions with the lowest rates, each of which is `distinct` from all before it.
+/// Returns the motions with the lowest rates, at most `most`, each of which is `distinct` from all motions returned
+/// before it.
 fn best_distinct(
     mut rated: Vec<(f64, Motion)>,
     most: usize,
@@ -245,7 +251,7 @@ fn best_distinct(
     kept
 }
 
-/// Orders motions of equal rate: the smaller one first.
+/// Orders motions of equal rate: the smaller motion comes first.
 fn smaller(a: &Motion, b: &Motion) -> std::cmp::Ordering {
     let size = |m: &Motion| m.dx * m.dx + m.dy * m.dy;
     size(a).total_cmp(&size(b)).then(a.angle.abs().total_cmp(&b.angle.abs()))

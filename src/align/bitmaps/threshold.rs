@@ -1,30 +1,30 @@
 //! Thresholds and exclusion zones of bitmaps, matched between two exposures.
 //!
-//! In: histograms of grey values. Out: [`Percentile`], [`Zone`]. Cost: negligible beside the histograms. Source: Ward
-//! 2003, section 2 (median, 17th and 83rd percentile; exclusion of 4 grey values).
+//! In: histograms of grey values. Out: [`Percentile`], [`Zone`]. Cost: negligible compared with the histograms. Source:
+//! Ward 2003, section 2 (median, 17th and 83rd percentile; exclusion of 4 grey values around the threshold).
 //!
 //! Unlike in Ward's method, the thresholds of both frames are at the same radiance. They are found by rank: at any
-//! exposure, the pixels of a scene have the same order of grey values. A zone of 4 grey values is some stops wide in a
-//! dark frame and a fraction of a stop in a bright one, and the median depends on the content of the frame. On smooth
-//! surfaces both effects displace the contours of the bitmaps.
+//! exposure, the pixels of a scene have the same order of grey values. Ward's zone of 4 grey values spans some stops in
+//! a dark frame, but a fraction of a stop in a bright one, and Ward's median depends on the content of the frame. On
+//! smooth surfaces, both effects would displace the contours of one bitmap against the other.
 
 use crate::align::bitmaps::{Motion, Zone};
 use crate::align::grey::{Histogram, Percentile};
 use crate::plane::Plane;
 
-/// Returns the smaller of the shares of pixels below and above `zone`: 0 for a blank bitmap.
+/// Returns the share of pixels below `zone` or the share above it, whichever is smaller: 0 for a blank bitmap.
 fn balance_at(histogram: &Histogram, zone: &Zone) -> f64 {
     histogram.share_below(zone.low.into()).min(1.0 - histogram.share_below(usize::from(zone.high) + 1))
 }
 
 /// A bitmap has enough structure if at least this share of the pixels is on each side of the zone. The value is half of
-/// the 17 % beyond Ward's outer percentiles.
+/// the 17 % of pixels that lie beyond Ward's 17th and 83rd percentile.
 const LEAST_BALANCE: f64 = 0.085;
 
 /// Returns the percentile at which the bitmaps of both frames have structure.
 ///
-/// This is the median, unless the median leaves less than [`LEAST_BALANCE`] of a frame's pixels on one side of the
-/// zone; then it is the multiple of five percent with the best balance.
+/// This is the median, unless in one of the frames less than [`LEAST_BALANCE`] of the pixels is on one side of the
+/// median's zone. Then it is the multiple of five percent with the best balance.
 pub fn common_percentile(a: &Histogram, b: &Histogram, exclusion: u8) -> Percentile {
     let balance = |p| {
         let (zone_a, zone_b) = matched_zones(a, b, p, exclusion);
@@ -37,11 +37,12 @@ pub fn common_percentile(a: &Histogram, b: &Histogram, exclusion: u8) -> Percent
     Percentile::others().fold(Percentile::MEDIAN, better)
 }
 
-/// Returns the zones of two frames that contain the same share of each frame's pixels, at the same ranks.
+/// Returns one zone for each of two frames. Both zones contain the same share of their frame's pixels, at the same
+/// ranks.
 ///
-/// In each frame, the grey values up to `exclusion` from the percentile contain a share of the pixels. The frame with
-/// the larger share keeps these grey values as its zone. The zone of the other frame consists of the grey values that
-/// its pixels have at the same ranks.
+/// In each frame, the grey values up to `exclusion` away from the percentile contain a share of the pixels. The frame
+/// in which this share is larger keeps these grey values as its zone. The zone of the other frame consists of the grey
+/// values that its pixels have at the same ranks.
 pub fn matched_zones(a: &Histogram, b: &Histogram, percentile: Percentile, exclusion: u8) -> (Zone, Zone) {
     let own = |h: &Histogram| Zone::about(h.value_at(percentile), exclusion);
     let ranks = |h: &Histogram, z: &Zone| {
@@ -61,7 +62,8 @@ pub fn matched_zones(a: &Histogram, b: &Histogram, percentile: Percentile, exclu
     }
 }
 
-/// Returns the histograms of the common area of two frames under `motion`, from about `PAIRED` pairs of pixels.
+/// Returns the histograms of two frames over the area that both show under `motion`, from about `PAIRED` pairs of
+/// pixels.
 pub fn common_histograms(reference: &Plane<u8>, frame: &Plane<u8>, motion: &Motion) -> (Histogram, Histogram) {
     let (width, height) = (reference.width(), reference.height());
     let step = ((width * height) as f64 / PAIRED as f64).sqrt().max(1.0) as usize;
@@ -83,7 +85,8 @@ pub fn common_histograms(reference: &Plane<u8>, frame: &Plane<u8>, motion: &Moti
     (Histogram(a), Histogram(b))
 }
 
-/// Number of pairs of pixels in the histograms: so many that ranks differ by motion and noise rather than by sampling.
+/// Approximate number of pairs of pixels that are sampled for the histograms. With so many, the ranks in the two frames
+/// differ more because of motion and noise than because of the sampling.
 const PAIRED: usize = 1 << 15;
 
 #[cfg(test)]
@@ -106,7 +109,7 @@ mod tests {
 
     #[test]
     fn zones_of_two_exposures_are_the_same_pixels() {
-        // The second frame is half as bright: the values 2 v and 2 v + 1 of the first both become v.
+        // The second frame is half as bright: the values 2 v and 2 v + 1 of the first frame both become v.
         let bright = plane(256, 40, |x, _| x as u8);
         let dark = plane(256, 40, |x, _| x as u8 / 2);
         let (a, b) = (Histogram::of(&bright), Histogram::of(&dark));
@@ -115,8 +118,8 @@ mod tests {
             let cut = |p: &Plane<u8>, z: &Zone| crate::align::bitmaps::bitmap::ThresholdBitmaps::new(p, z);
             assert_eq!(cut(&bright, &zone_bright), cut(&dark, &zone_dark), "{percentile:?}");
             let level = b.value_at(percentile);
-            // The dark frame's own zone contains the larger share of the pixels, so it is not changed by the other
-            // frame.
+            // In the dark frame, the values up to 4 away from the percentile contain the larger share of pixels. So
+            // this frame keeps them as its zone.
             assert_eq!(zone_dark, Zone::about(level, 4), "{percentile:?}");
             assert_eq!(usize::from(zone_bright.low), 2 * usize::from(zone_dark.low));
             assert_eq!(matched_zones(&b, &a, percentile, 4), (zone_dark, zone_bright));
@@ -135,8 +138,8 @@ mod tests {
 
     #[test]
     fn common_histograms_are_of_the_overlap() {
-        // The frame shows the reference's content 50 px farther left, and something bright at the right that is not in
-        // the reference.
+        // The frame shows the reference's content 50 px farther left. At its right, it shows something bright that is
+        // not in the reference.
         let reference = plane(200, 120, |x, _| x as u8);
         let frame = plane(200, 120, |x, _| if x < 150 { x as u8 + 50 } else { 255 });
         let motion = Motion { dx: -50.0, ..Motion::default() };

@@ -1,9 +1,10 @@
-//! Bitmaps warped to another picture's grid by a shift and a rotation.
+//! Bitmaps of a frame, warped to the reference's grid by a shift and a rotation.
 //!
-//! In: a frame's bitmaps and a [`Motion`]. Out: the bitmaps on the reference's grid, where motions with the same
-//! rotation are tried by shifting these bitmaps, without warping again. Cost: 1 piece per word without rotation, about
-//! 7 (at most 11) at 5 degrees, some 10 ns each; nothing is allocated. Source: the thesis rotates the picture pixel by
-//! pixel (chapter 4); the decomposition of a rotated row into pieces of rows is new here.
+//! In: a frame's bitmaps and a [`Motion`]. Out: the bitmaps on the reference's grid. Other motions with the same
+//! rotation can then be tried by shifting these bitmaps, without warping again. Cost: each word is copied in pieces, at
+//! some 10 ns each: one piece without rotation, about 7 (at most 11) at 5 degrees; nothing is allocated. Source: the
+//! thesis on which hdralign is based rotates the picture pixel by pixel (chapter 4); the decomposition of a rotated row
+//! into pieces of the frame's rows is new here.
 
 use crate::align::bitmaps::ThresholdBitmaps;
 use crate::align::bitmaps::bitmap::bits_from;
@@ -20,8 +21,8 @@ pub struct Motion {
 }
 
 impl Motion {
-    /// Returns the motion that maps each pixel to where `self` maps the pixel that is `right` columns and `down` rows
-    /// farther.
+    /// Returns the motion that first moves each pixel `right` columns to the right and `down` rows down, and then
+    /// applies `self`.
     pub fn beside(&self, right: i64, down: i64) -> Motion {
         let (s, c) = (libm::sin(self.angle), libm::cos(self.angle));
         let (right, down) = (right as f64, down as f64);
@@ -29,34 +30,34 @@ impl Motion {
     }
 }
 
-/// Rounding of a position between pixels to a pixel.
+/// How a position between pixels is rounded to a pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Rounding {
     /// To the nearest pixel.
     Nearest,
-    /// To either neighbour, the nearer one more often, by a fixed pattern that changes with every word of 64 pixels and
-    /// every row. Counts then vary smoothly with the motion; steps at whole pixels would bias every result towards
-    /// them.
+    /// To either neighbouring pixel, to the nearer one more often, by a fixed pattern that changes with every word of
+    /// 64 pixels and every row. Counts of differing pixels then vary smoothly with the motion. With rounding to the
+    /// nearest pixel they have steps, which would bias every result towards motions by whole pixels.
     Dithered,
 }
 
-/// The positions of a grid's pixels under a motion, in fixed point with 32 fractional bits: sums are exact, and the
-/// same on every machine.
+/// The positions of a grid's pixels under a motion. They are in fixed point with 32 fractional bits, so sums are exact
+/// and the same on every machine.
 struct PixelMap {
     rounding: Rounding,
-    /// `cos` and `sin`: the column and row by which the position moves for one pixel to the right.
+    /// `cos` and `sin`: the number of columns and rows by which the position moves for one pixel to the right.
     cos: i64,
     sin: i64,
-    /// Number of pixels to the right after which the row changes by 2^-32, the unit of the fixed point; 0 if the row
-    /// does not change within the width.
+    /// Number of pixels to the right after which the row has changed by 2^-32, the unit of the fixed point; 0 if the
+    /// row does not change within the width.
     run: f64,
-    /// `origin`: the position of pixel (0, 0). `down`: its displacement for one pixel down.
+    /// `origin`: the position to which pixel (0, 0) maps. `down`: the displacement of the position for one pixel down.
     origin: (i64, i64),
     down: (i64, i64),
 }
 
-/// The column and row (in fixed point) of pixel 0 of a row of the grid, plus the rounding offset that applies to one
-/// word of 64 pixels of this row.
+/// The position (column and row, in fixed point) to which the first pixel of a row of the grid maps, plus the rounding
+/// offset that applies to one word of 64 pixels of this row.
 struct Block(i64, i64);
 
 const ONE: f64 = 4_294_967_296.0;
@@ -75,8 +76,9 @@ impl PixelMap {
     /// Returns the block for word `word` (64 pixels) of row `y`.
     #[inline]
     fn block(&self, word: usize, y: usize) -> Block {
-        // Offsets that are added to a position before it is truncated. Multiples of powers of the plastic number, of
-        // sqrt 2 and of the golden ratio are evenly distributed along rows, along columns and over the plane.
+        // These offsets are added to a position before it is truncated. The multiples (modulo 1) of powers of the
+        // plastic number, of sqrt 2 and of the golden ratio are evenly distributed along rows, along columns and over
+        // the plane.
         let (half_x, half_y) = match self.rounding {
             Rounding::Nearest => (1 << 31, 1 << 31),
             Rounding::Dithered => {
@@ -89,8 +91,8 @@ impl PixelMap {
         Block(self.origin.0 + y * self.down.0 + half_x, self.origin.1 + y * self.down.1 + half_y)
     }
 
-    /// Returns the end of a run of pixels from `x`, at most to `end`, that map to adjacent pixels of one row of the
-    /// frame; and the column and row to which its first pixel maps.
+    /// Finds a run of pixels from `x`, up to `end` at most, that map to adjacent pixels of one row of the frame.
+    /// Returns the end of the run, and the column and row to which pixel `x` maps.
     #[inline]
     fn piece(&self, block: &Block, x: i64, end: i64) -> (i64, i64, i64) {
         let column = |x: i64| (block.0 + x * self.cos) >> 32;
@@ -116,9 +118,9 @@ impl PixelMap {
 impl ThresholdBitmaps {
     /// Warps these bitmaps to the grid of `onto`, which has the same size.
     ///
-    /// Pixel (x, y) of `onto` becomes the pixel to which `motion` maps (x, y), rounded by `rounding`; it is excluded
-    /// where that pixel is outside. Along a row of the grid, the row of the frame changes only every 1 / sin(angle)
-    /// pixels; each piece in between is copied by a shift of packed words.
+    /// Pixel (x, y) of `onto` becomes the pixel of these bitmaps to which `motion` maps (x, y), rounded by `rounding`.
+    /// It is excluded if that pixel is outside. Along a row of the grid, the row of the frame changes only every 1 /
+    /// sin(angle) pixels; each piece between such changes is copied by shifting packed words.
     ///
     /// # Panics
     /// When the sizes differ.
@@ -195,8 +197,8 @@ mod tests {
                             "{motion:?} at {x}, {y}"
                         );
                     }
-                    // The positions are within half a pixel (nearest) or a pixel (dithered) of those by the motion,
-                    // plus a rounding error of 2^-32 px for each pixel along the row.
+                    // The positions differ from the exact ones under the motion by at most half a pixel (nearest) or a
+                    // pixel (dithered), plus a rounding error of 2^-32 px for each pixel along the row.
                     let (s, c) = (angle.sin(), angle.cos());
                     let most = if rounding == Rounding::Nearest { 0.5 } else { 1.0 } + 1e-6;
                     for (x, y) in [(0, 0), (229, 0), (100, 169)] {
@@ -213,8 +215,8 @@ mod tests {
 
     #[test]
     fn dithering_is_even() {
-        // A shift of 0.3 px is rounded to 1 px in three words of ten, and to 0 px in the others, in any part of the
-        // picture.
+        // A shift of 0.3 px is rounded to 1 px in three of ten words, and to 0 px in the other words, in any part of
+        // the picture.
         let places = PixelMap::new(&Motion { dx: 0.3, dy: 0.3, angle: 0.0 }, Rounding::Dithered, 64 * 36, 1700);
         let share = |words: std::ops::Range<usize>, rows: std::ops::Range<usize>| {
             let all: Vec<(i64, i64)> = rows
@@ -227,8 +229,8 @@ mod tests {
             let sum = all.iter().fold((0, 0), |s, p| (s.0 + p.0, s.1 + p.1));
             [sum.0 as f64 / all.len() as f64, sum.1 as f64 / all.len() as f64]
         };
-        // In n elements of such a sequence, the share of any value differs from that of an even distribution by a few
-        // times ln n / n.
+        // Among n consecutive elements of such a sequence, the share of any value differs from that of an even
+        // distribution by a few times ln n / n.
         for (words, rows, most) in
             [(0..36, 0..1700, 0.002), (5..6, 0..1700, 0.01), (0..36, 700..702, 0.06), (8..16, 300..310, 0.06)]
         {

@@ -1,4 +1,4 @@
-//! The homography between two frames, from the matches of all their feature sets.
+//! The homography between two frames, estimated from the matches of all their feature sets.
 //!
 //! In: the [`FeatureSets`] of two frames. Out: a [`Consensus`], or none. Cost: three rounds of matching, two of them
 //! guided, each with a robust fit. Source: Hartley & Zisserman, Multiple View Geometry (2nd ed., 2004), algorithm 4.6.
@@ -12,8 +12,8 @@ use crate::align::features::{
 use crate::align::transform::map;
 use nalgebra::Matrix3;
 
-/// Returns the matches of all feature sets that pass the ratio test, without guided matching, in pixels of the full
-/// size.
+/// Returns the matches of all feature sets that pass the ratio test, in pixels of the full size. The matching is not
+/// guided by a homography.
 pub(crate) fn pairs(
     reference: &FeatureSets,
     frame: &FeatureSets,
@@ -23,11 +23,12 @@ pub(crate) fn pairs(
     Matches::new(reference, frame, to_full, ratio, None).pairs
 }
 
-/// Returns the homography supported by the matches of all feature sets, and its inliers, in pixels of the full size.
+/// Returns the homography that most matches of all feature sets support, and its inliers, in pixels of the full size.
+/// None if there is no consensus.
 ///
-/// The matching is repeated with only the keypoints near the positions that the first homography predicts, so that
-/// similar structure elsewhere no longer competes (Hartley & Zisserman 2004, algorithm 4.6). None if there is no
-/// consensus.
+/// If there are enough inliers, the matching is repeated twice with a guide: only the keypoints near the position that
+/// the best homography so far predicts are candidates. Similar structure elsewhere then no longer competes (Hartley &
+/// Zisserman 2004, algorithm 4.6).
 pub(crate) fn by_matches(
     reference: &FeatureSets,
     frame: &FeatureSets,
@@ -42,7 +43,8 @@ pub(crate) fn by_matches(
     if best.inliers.len() < LEAST_GUIDES {
         return Some(best);
     }
-    // The smaller the search radius, the weaker the ratio test can be.
+    // The ratio test rejects ambiguous matches. The smaller the search radius, the less ambiguity there is, so the
+    // second guided matching uses a weaker test.
     for (radius, ratio) in [(WIDE_PX, options.ratio), (NARROW_PX, 0.5 * (1.0 + options.ratio))] {
         let guide = Guide { motion: to_full.try_inverse()? * best.homography * to_full, radius };
         let guided = Matches::new(reference, frame, to_full, ratio, Some(&guide));
@@ -61,24 +63,25 @@ pub(crate) fn agreed(pairs: &[PointPair], options: &RansacOptions, method: Robus
     }
 }
 
-/// Least number of inliers for guided matching: fewer may agree by chance, and guided matching would confirm them.
+/// Guided matching needs at least this number of inliers. Fewer may agree by chance, and guided matching would confirm
+/// them.
 const LEAST_GUIDES: usize = 8;
-/// Search radius of the first guided matching, in pixels of the pyramid level: four times the default threshold of
-/// inliers.
+/// Search radius of the first guided matching, in pixels of the pyramid level. The value is four times the default
+/// inlier threshold of RANSAC.
 const WIDE_PX: f64 = 10.0;
 /// Search radius of the second guided matching, in pixels of the pyramid level.
 const NARROW_PX: f64 = 6.0;
-/// Standard deviation of the position of a keypoint of scale 1, in pixels of the level; it grows with the square root
+/// Standard deviation of the position of a keypoint with scale 1, in pixels of the level. It grows with the square root
 /// of the scale. Measured on rendered brackets.
 const KEYPOINT_PX: f64 = 0.6;
-/// Number of iterations of the reweighted fit.
+/// Number of iterations of the final reweighted fit.
 const REFITS: usize = 8;
 
 /// The matches of all feature sets.
 pub(super) struct Matches {
     /// Positions of the matched keypoints, in pixels of the full size.
     pub(super) pairs: Vec<PointPair>,
-    /// For each pair, the larger of the scales of its two keypoints, but at least 1; in pixels of the level.
+    /// For each pair, the larger of the scales of its two keypoints, but at least 1, in pixels of the level.
     pub(super) scales: Vec<f64>,
 }
 
@@ -109,8 +112,9 @@ impl Matches {
 
     /// Fits the homography of `found` again to its inliers, weighted by their precision.
     ///
-    /// Positions of large keypoints are less precise. Inliers far from their predicted positions count less (weights of
-    /// Geman & McClure). `pixel` is the width of a pixel of the level, in pixels of the full size.
+    /// Matches of large keypoints get a lower weight, because their positions are less precise. Inliers far from their
+    /// predicted positions also get a lower weight (Geman & McClure). `pixel` is the width of a pixel of the level, in
+    /// pixels of the full size.
     pub(super) fn settle(&self, found: Consensus, pixel: f64) -> Consensus {
         let right: Vec<PointPair> = found.inliers.iter().map(|&i| self.pairs[i]).collect();
         let squares = |h: &Matrix3<f64>| -> Vec<f64> { right.iter().map(|p| distance_squared(h, p)).collect() };

@@ -1,7 +1,7 @@
-//! The features of a frame: of its grey image and of its threshold bitmaps.
+//! The features of a frame, which come from its grey image and from its threshold bitmaps.
 //!
-//! In: a level of a grey pyramid and a [`Detector`]. Out: [`FeatureSets`]. Cost: that of the detector on the level, and
-//! on a quarter as many samples for each bitmap.
+//! In: a level of a grey pyramid and a [`Detector`]. Out: [`FeatureSets`]. Cost: one run of the detector on the level,
+//! and one on each bitmap, which has a quarter as many samples.
 
 use crate::align::features::duplicates::KeypointIndex;
 use crate::align::features::keypoint::{Features, Keypoint};
@@ -28,10 +28,10 @@ impl Detector {
         }
     }
 
-    /// Returns the detector for bitmaps, which are not doubled: their only detail smaller than a pixel is the staircase
-    /// of their edges.
+    /// Returns the detector for bitmaps. It does not double them, because the only detail of a bitmap smaller than a
+    /// pixel is the staircase of its edges.
     ///
-    /// SURF's box filters respond to this staircase, too. Therefore SURF must find twice the contrast in a bitmap: its
+    /// SURF's box filters respond to this staircase, too. Therefore SURF needs twice the contrast in a bitmap. Its
     /// threshold is four times as large, because the determinant grows with the square of the contrast. This halves the
     /// number of keypoints.
     fn for_bitmaps(&self) -> Self {
@@ -54,13 +54,13 @@ pub(crate) struct FeatureSets {
 }
 
 impl FeatureSets {
-    /// Returns the keypoints of all bitmaps; a keypoint of several bitmaps is listed once.
+    /// Returns the keypoints of all bitmaps. A keypoint that is found in several bitmaps is listed once.
     pub(crate) fn of_bitmaps(&self) -> Vec<Keypoint> {
         additional(&[], &self.mtb)
     }
 }
 
-/// Returns the keypoints of `sets` that are neither in `known` nor in an earlier set.
+/// Returns the keypoints of `sets` that are neither in `known` nor in an earlier one of `sets`.
 fn additional(known: &[Keypoint], sets: &[Features]) -> Vec<Keypoint> {
     let mut index = KeypointIndex::default();
     index.add(known);
@@ -72,17 +72,17 @@ fn additional(known: &[Keypoint], sets: &[Features]) -> Vec<Keypoint> {
     found
 }
 
-/// Returns, for each of `points`, whether `others` has the same keypoint: within a pixel, and of similar scale.
+/// Returns whether `others` has the same keypoint (within a pixel, and of similar scale), for each of `points`.
 pub(crate) fn found_among(points: &[Keypoint], others: &[Keypoint]) -> Vec<bool> {
     let mut index = KeypointIndex::default();
     index.add(others);
     points.iter().map(|k| index.has(k)).collect()
 }
 
-/// Percentiles of the bitmaps' thresholds: Ward's 17, 50 and 83, two between these, and one beyond each end.
+/// Percentiles of the bitmaps' thresholds: Ward's 17, 50 and 83, two more between them, and one beyond each end.
 pub(super) const PERCENTILES: [u64; 7] = [6, 17, 33, 50, 67, 83, 94];
 
-/// Standard deviation of the smoothing before the threshold, in pixels: removes noise from the edges of the bitmap.
+/// Standard deviation of the smoothing before the threshold, in pixels. It removes noise from the edges of the bitmaps.
 const SMOOTHING: f64 = 0.7;
 
 /// Detects the features of a frame on level `level` of its pyramid.
@@ -105,7 +105,8 @@ pub(super) fn smoothed(grey: &Plane<u8>) -> Plane<f32> {
     gaussian(&grey.map(f32::from), SMOOTHING)
 }
 
-/// Number of histogram bins per grey value: in a dark frame all percentiles may lie within two or three grey values.
+/// Number of histogram bins per grey value. One bin would be too coarse: in a dark frame, all percentiles may lie
+/// within two or three grey values.
 const STEPS: f32 = 16.0;
 
 /// Returns the grey value at each of [`PERCENTILES`].
@@ -128,8 +129,9 @@ pub(super) fn thresholds(smooth: &Plane<f32>) -> [f32; PERCENTILES.len()] {
 
 /// Returns the bitmap at `threshold` as a grey image: black below the threshold, white above it.
 ///
-/// Grey values within `exclusion` / 2 of the threshold, where noise would decide, become a linear ramp instead (Ward
-/// excludes them): there noise causes little contrast, and edges keep their positions.
+/// Near the threshold, noise would decide between black and white. Ward excludes these pixels. Here the grey values
+/// within `exclusion` / 2 of the threshold become a linear ramp from black to white instead. There, noise causes little
+/// contrast, and edges keep their positions.
 pub(super) fn bitmap(smooth: &Plane<f32>, threshold: f32, exclusion: u8) -> Plane<u8> {
     let slope = 255.0 / f32::from(exclusion.max(1));
     Plane::from_rows(smooth.width(), smooth.height(), |y, row| {
@@ -139,8 +141,8 @@ pub(super) fn bitmap(smooth: &Plane<f32>, threshold: f32, exclusion: u8) -> Plan
     })
 }
 
-/// The number of keypoints of the grey image, of the bitmaps and of both; a keypoint that is found repeatedly counts
-/// once.
+/// Returns the numbers of keypoints: those of the grey image, those of the bitmaps, and those of both together. A
+/// keypoint that is found in several of them counts once.
 pub(super) fn count(plain: &Features, mtb: &[Features]) -> KeypointCounts {
     KeypointCounts {
         plain: plain.len(),

@@ -1,12 +1,12 @@
-//! The extremum of a quadratic through a sample and its neighbours in position and scale.
+//! The extremum of a quadratic through a sample and its neighbours in position and scale (keypoint localisation).
 //!
 //! In: the 27 samples around a sampled extremum. Out: the offset and the value of the extremum. Cost: none. Source:
 //! Brown & Lowe, "Invariant Features from Interest Point Groups", BMVC 2002; Lowe 2004, section 4, eq. 2 and 3.
 
 use nalgebra::{Matrix3, Vector3};
 
-/// Returns the offset of the extremum from the middle sample, in samples (columns, rows, scales), and the value there;
-/// none if the quadratic has no single extremum.
+/// Returns the offset of the extremum from the middle sample, in samples (columns, rows, scales), and the value at the
+/// extremum; none if the quadratic has no single extremum.
 ///
 /// `sample` returns the sample at an offset of -1, 0 or 1 in each direction.
 pub(super) fn extremum(sample: impl Fn(isize, isize, isize) -> f64) -> Option<(Vector3<f64>, f64)> {

@@ -7,22 +7,22 @@ pub struct Keypoint {
     pub x: f32,
     /// Row in pixels of the image, with the same origin as `x`.
     pub y: f32,
-    /// Standard deviation of the Gaussian at which the keypoint was found, in pixels; for SURF, of the Gaussian that
-    /// the box filters approximate.
+    /// Standard deviation of the Gaussian at which the keypoint was found, in pixels. With SURF, it is the Gaussian
+    /// that the box filters approximate.
     pub scale: f32,
     /// Dominant direction of the gradients, from +x towards +y, in radians, -pi..=pi.
     pub angle: f32,
-    /// Strength of the extremum for grey values 0..=1: for SIFT |D| (D is the difference of Gaussians), for SURF the
-    /// determinant of the Hessian.
+    /// Strength of the extremum, for grey values scaled to 0..=1. For SIFT it is |D|, where D is the difference of
+    /// Gaussians; for SURF it is the determinant of the Hessian.
     pub response: f32,
     /// Whether the point is brighter than its surroundings; otherwise it is darker.
     pub bright: bool,
 }
 
-/// Descriptor of a keypoint's surroundings by SIFT: 4 x 4 histograms of 8 gradient directions.
+/// SIFT descriptor of a keypoint's surroundings: 4 x 4 histograms of 8 gradient directions.
 pub type SiftDescriptor = [u8; 128];
 
-/// Descriptor of a keypoint's surroundings by SURF: for each of 4 x 4 cells the sums of dx, |dx|, dy and |dy|.
+/// SURF descriptor of a keypoint's surroundings: for each of 4 x 4 cells, the sums of dx, |dx|, dy and |dy|.
 pub type SurfDescriptor = [i8; 64];
 
 /// The descriptors of one image, in the order of its keypoints.

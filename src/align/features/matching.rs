@@ -1,10 +1,10 @@
 //! Matching of descriptors.
 //!
 //! In: the [`Features`] of two images. Out: [`Match`]es that are mutual nearest neighbours and pass the ratio test.
-//! Cost: 128 multiply-adds (64 for SURF) for every pair of keypoints that may match. That is about one pair in ten: a
-//! hand-held camera hardly rotates or zooms, and a point brighter than its surroundings is so at any exposure. Source:
-//! Lowe, "Distinctive Image Features from Scale-Invariant Keypoints", IJCV 60(2), 2004, section 7.1 (ratio of the
-//! nearest to the second nearest).
+//! Cost: 128 multiply-adds (64 for SURF) for every pair of keypoints that may match. This is about one pair in ten,
+//! because a hand-held camera hardly rotates or zooms, and because a point that is brighter than its surroundings is so
+//! at any exposure. Source: Lowe, "Distinctive Image Features from Scale-Invariant Keypoints", IJCV 60(2), 2004,
+//! section 7.1 (test of the distance ratio of the nearest and the second nearest neighbour).
 
 use crate::align::features::{Descriptors, Features, Keypoint, sift, surf};
 use crate::align::transform::map;
@@ -21,10 +21,10 @@ pub struct Match {
     pub frame: usize,
 }
 
-/// Restricts matches to within `radius` pixels of the position predicted by `motion`.
+/// Restricts matches: the frame's keypoint must be within `radius` pixels of the position that `motion` predicts.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Guide {
-    /// Reference pixel -> frame pixel.
+    /// The predicted motion, reference pixel -> frame pixel.
     pub motion: Matrix3<f64>,
     /// Search radius, in pixels.
     pub radius: f64,
@@ -32,11 +32,11 @@ pub struct Guide {
 
 /// Returns the pairs of keypoints whose descriptors are mutual nearest neighbours and pass the ratio test.
 ///
-/// In the ratio test, the distance from a keypoint of the reference to the nearest candidate in the frame must be less
-/// than `ratio` times the distance to the second nearest. A candidate and the keypoint of the reference must both be
-/// brighter, or both darker, than their surroundings. Their directions differ by at most 45 degrees (some by up to
-/// 67.5, due to binning), and their scales by at most a factor of two. With a `guide`, a candidate must also be near
-/// the predicted position.
+/// Ratio test: the distance from a keypoint of the reference to the nearest candidate in the frame must be less than
+/// `ratio` times the distance to the second nearest candidate. Distances are between descriptors. A keypoint of the
+/// frame is a candidate if it and the reference's keypoint are both brighter, or both darker, than their surroundings.
+/// In addition, their directions differ by at most 45 degrees (or up to 67.5 in some cases, due to binning), and their
+/// scales by at most a factor of two. With a `guide`, a candidate must also be near the predicted position.
 ///
 /// Features of different detectors have no matches.
 pub fn match_mutual(reference: &Features, frame: &Features, ratio: f64, guide: Option<&Guide>) -> Vec<Match> {
@@ -48,8 +48,8 @@ pub fn match_mutual(reference: &Features, frame: &Features, ratio: f64, guide: O
     }
 }
 
-/// [`match_mutual`] for the points and descriptors of the reference and the frame; `length` is the Euclidean length of
-/// a descriptor.
+/// Implements [`match_mutual`] for the points and descriptors of the reference and of the frame. `length` is the
+/// Euclidean length of a descriptor.
 fn matches<T: Copy + Into<i16> + Sync, const N: usize>(
     (points, frame_points): (&[Keypoint], &[Keypoint]),
     (descriptors, frame_descriptors): (&[[T; N]], &[[T; N]]),
@@ -93,7 +93,8 @@ fn matches<T: Copy + Into<i16> + Sync, const N: usize>(
             found
         })
         .collect();
-    // For each keypoint of the frame, the nearest keypoint of the reference; of equally near ones the first.
+    // For each keypoint of the frame, the nearest keypoint of the reference; if several are equally near, the first of
+    // them.
     let mut nearest_references = vec![NO_REFERENCE; frame_points.len()];
     for chunk in &chunks {
         for (best, nearest_reference) in nearest_references.iter_mut().zip(&chunk.nearest_references) {
@@ -110,16 +111,16 @@ fn matches<T: Copy + Into<i16> + Sync, const N: usize>(
         .collect()
 }
 
-/// The result of one task, which searches for some keypoints of the reference.
+/// The result of one parallel task, which searches matches for some keypoints of the reference.
 struct Chunk {
-    /// For each keypoint of the reference in the task, the index in the table of the frame's nearest keypoint, if that
-    /// is unambiguous.
+    /// For each reference keypoint of this task, the nearest keypoint of the frame as an index in the table; none if
+    /// the match is ambiguous or too far.
     nearest: Vec<Option<usize>>,
-    /// For each keypoint of the table, the nearest of the keypoints of the reference in the task.
+    /// For each keypoint of the table (of the frame), the nearest of the reference keypoints of this task.
     nearest_references: Vec<NearestReference>,
 }
 
-/// A reference keypoint, and the squared distance of its descriptor.
+/// A keypoint of the reference, and the squared distance of its descriptor from that of a keypoint of the frame.
 #[derive(Debug, Clone, Copy)]
 struct NearestReference {
     point: u32,
@@ -128,14 +129,14 @@ struct NearestReference {
 
 const NO_REFERENCE: NearestReference = NearestReference { point: u32::MAX, distance: i32::MAX };
 
-/// Number of keypoints of the reference per task.
+/// Number of keypoints of the reference that one task searches for.
 const CHUNK: usize = 64;
 
-/// Number of bins of directions, of 22.5 degrees each, by which the table is ordered.
+/// Number of bins for directions, of 22.5 degrees each, by which the table is ordered.
 const TURNS: usize = 16;
 /// Largest difference in direction between matching keypoints, in bins.
 const MOST_TURNS: usize = 2;
-/// Largest ratio of scales of matching keypoints.
+/// Largest ratio of the larger to the smaller scale of two matching keypoints.
 const MOST_ZOOM: f32 = 2.0;
 
 /// Returns the index of the bin of the direction `angle`.
@@ -152,13 +153,14 @@ fn may_match(a: &Keypoint, b: &Keypoint) -> bool {
         && b.scale <= MOST_ZOOM * a.scale
 }
 
-/// The frame's features, ordered so that the candidates for a keypoint (see [`may_match`]) are a few ranges.
+/// The frame's features, ordered so that the candidates for a keypoint (see [`may_match`]) are in a few index ranges.
 struct Table<const N: usize> {
     /// For each keypoint of the table, its index in the frame's features.
     order: Vec<usize>,
     points: Vec<Keypoint>,
     descriptors: Vec<WideDescriptor<N>>,
-    /// Index of the first keypoint of each bin (dark or bright, and direction), and the number of all keypoints.
+    /// Index of the first keypoint of each bin, and at the end the number of all keypoints. A bin holds the dark or the
+    /// bright keypoints of one direction.
     starts: [usize; 2 * TURNS + 1],
 }
 
@@ -203,13 +205,13 @@ impl<const N: usize> WideDescriptor<N> {
         WideDescriptor { square: dot(&values, &values), values }
     }
 
-    /// Returns the squared Euclidean distance.
+    /// Returns the squared Euclidean distance from `other`.
     fn distance_squared(&self, other: &Self) -> i32 {
         self.square + other.square - 2 * dot(&self.values, &other.values)
     }
 }
 
-/// Returns the scalar product of two descriptors. Eight partial sums let the compiler use vectors of eight.
+/// Returns the scalar product of two descriptors. Eight partial sums let the compiler vectorise the loop.
 #[inline]
 fn dot<const N: usize>(a: &[i16; N], b: &[i16; N]) -> i32 {
     let mut sums = [0i32; 8];
@@ -221,9 +223,9 @@ fn dot<const N: usize>(a: &[i16; N], b: &[i16; N]) -> i32 {
     sums.iter().sum()
 }
 
-/// A search for the frame's keypoint that is nearest to one keypoint of the reference.
+/// A search for the keypoint of the frame that is nearest to one keypoint of the reference.
 ///
-/// The search also updates, for every keypoint of the frame that it compares, the nearest keypoint of the reference.
+/// For every keypoint of the frame that it compares, the search also updates the nearest keypoint of the reference.
 struct Nearest<'a, const N: usize> {
     point: u32,
     descriptor: &'a WideDescriptor<N>,
@@ -250,21 +252,21 @@ impl<const N: usize> Nearest<'_, N> {
         }
     }
 
-    /// Returns the nearest keypoint, if it passes the ratio test and its squared distance is at most `farthest`. Two
-    /// nearest keypoints at the same distance do not pass the ratio test.
+    /// Returns the nearest keypoint, if it passes the ratio test and its squared distance is at most `farthest`. If two
+    /// keypoints are equally near, neither passes the ratio test.
     fn if_unambiguous(&self, ratio: f64, farthest: i32) -> Option<usize> {
         let clear = self.second == i32::MAX || f64::from(self.first) < ratio * ratio * f64::from(self.second);
         self.at.filter(|_| clear && self.first <= farthest)
     }
 }
 
-/// Largest squared distance of matching descriptors, in squared lengths of a descriptor; it applies even if there is no
-/// second candidate.
+/// Largest squared distance of matching descriptors, in units of the squared length of a descriptor. It also applies if
+/// there is no second candidate for the ratio test.
 ///
-/// Uncorrelated descriptors have a distance of sqrt(2) lengths; 2/3 of that are allowed.
+/// Uncorrelated descriptors of length L are sqrt(2) L apart. Matching ones may be at most 2/3 of that apart.
 const FARTHEST: f32 = 2.0 * 4.0 / 9.0;
 
-/// Indices of the frame's keypoints, by square cells as wide as the guide's radius.
+/// Indices of the frame's keypoints, in square cells as wide as the guide's radius.
 struct Grid {
     cell: f64,
     columns: i64,
@@ -286,7 +288,8 @@ impl Grid {
         Grid { cell, columns, rows, cells }
     }
 
-    /// Returns the keypoints in the cells around (x, y); they include all within the guide's radius.
+    /// Returns the keypoints in the cell of (x, y) and the cells around it. They include all keypoints within the
+    /// guide's radius.
     fn near(&self, x: f64, y: f64) -> impl Iterator<Item = usize> {
         let around = |v: f64, count: i64| {
             let cell = (v / self.cell).floor() as i64;
@@ -303,7 +306,7 @@ mod tests {
     use super::*;
     use crate::align::features::SiftDescriptor;
 
-    /// A pseudorandom descriptor for each seed.
+    /// Returns a pseudorandom descriptor that depends only on the seed.
     fn descriptor(seed: u32) -> SiftDescriptor {
         let mut state = seed.wrapping_mul(0x9E37_79B9) | 1;
         std::array::from_fn(|_| {
@@ -356,7 +359,7 @@ mod tests {
 
     #[test]
     fn agrees_with_the_whole_table_of_distances() {
-        // Descriptors with few non-zero values, so that many are similar and nearest neighbours are often not mutual.
+        // These descriptors have few non-zero values. So many are similar, and nearest neighbours are often not mutual.
         let coarse = |seeds: std::ops::Range<u32>| {
             let mut f = features(&seeds.collect::<Vec<_>>(), 0.0);
             let Descriptors::Sift(descriptors) = &mut f.descriptors else { unreachable!() };
@@ -364,7 +367,7 @@ mod tests {
             f
         };
         let (a, b) = (coarse(0..150), coarse(100..260));
-        // Directions, scales, and bright and dark keypoints, on both sides of the limits of `may_match`.
+        // Gives the keypoints directions, scales and brightnesses on both sides of the limits of `may_match`.
         let turned = |mut f: Features, by: usize| {
             for (i, k) in f.keypoints.iter_mut().enumerate() {
                 k.angle = ((i * by % 40) as f32 / 20.0 - 1.0) * PI;

@@ -1,14 +1,14 @@
 //! Features: keypoints of the grey image and of its threshold bitmaps, and the homography of their matches.
 //!
-//! In: grey pyramids. Out: `FeatureSets`, and for two of them a [`Consensus`]. Cost: for each frame [`sift`] or
-//! [`surf`] on one pyramid level, and on each bitmap, which has a quarter as many samples because it is not doubled;
-//! for a pair of frames three rounds of matching, two of them guided, and [`ransac`] or [`lmeds`]. Source: the thesis,
-//! section 4.3 (where the grey image is dark or bright, it has few keypoints and its median threshold bitmap has many;
-//! both together are always enough).
+//! In: grey pyramids. Out: `FeatureSets`, and a [`Consensus`] for two of them. Cost for each frame: [`sift`] or
+//! [`surf`] on one pyramid level, and again on each bitmap of this level; a bitmap has a quarter as many samples,
+//! because it is not doubled. Cost for a pair of frames: three rounds of matching, two of them guided, and [`ransac`]
+//! or [`lmeds`]. Source: section 4.3 of the thesis on which hdralign is based. It finds that a dark or bright grey
+//! image has few keypoints but its median threshold bitmap has many, and that both together always have enough.
 //!
-//! A bitmap has edges at one grey value only, which in a dark frame may be within the noise. Therefore seven bitmaps
-//! are used, at fixed percentiles that include Ward's three: whatever the exposures, some of the bitmaps have structure
-//! in both frames. Each bitmap is matched only with the bitmap of the same percentile.
+//! A bitmap has edges at one grey value only, and in a dark frame the noise may hide these edges. Therefore seven
+//! bitmaps are used, at fixed percentiles that include Ward's three. Whatever the exposures are, some of the bitmaps
+//! have structure in both frames. Each bitmap is matched only with the bitmap of the same percentile.
 
 mod duplicates;
 mod estimation;

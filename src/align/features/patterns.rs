@@ -3,7 +3,7 @@
 use crate::align::features::{Features, match_mutual};
 use crate::plane::Plane;
 
-/// Gaussian blobs on grey: (x, y, sigma, height).
+/// Returns Gaussian blobs on a grey background. `list` has (x, y, sigma, height) of each blob.
 pub(super) fn blobs(width: usize, height: usize, list: &[(f64, f64, f64, f64)]) -> Plane<u8> {
     Plane::from_rows(width, height, |y, row| {
         for (x, v) in row.iter_mut().enumerate() {
@@ -19,7 +19,8 @@ pub(super) fn blobs(width: usize, height: usize, list: &[(f64, f64, f64, f64)]) 
     })
 }
 
-/// Irregular texture with detail at all scales, rotated about the centre and scaled.
+/// Returns an irregular texture with detail at many scales, rotated by `turn` radians about the centre and enlarged
+/// `zoom` times.
 pub(super) fn texture(width: usize, height: usize, turn: f64, zoom: f64) -> Plane<u8> {
     let mut state = 17u32;
     let mut random = || {
@@ -38,8 +39,8 @@ pub(super) fn texture(width: usize, height: usize, turn: f64, zoom: f64) -> Plan
     blobs(width, height, &list)
 }
 
-/// Checks that the features of `detect` survive rotation, scale and contrast: at least `least` correct matches, and at
-/// least `share` of all matches are correct.
+/// Checks that the features of `detect` survive changes of rotation, scale and contrast. At least `least` matches must
+/// be correct, and these must be at least the share `share` of all matches.
 pub(super) fn check_repeatability(detect: impl Fn(&Plane<u8>) -> Features, (least, share): (usize, f64)) {
     let (width, height) = (300, 260);
     let plain = detect(&texture(width, height, 0.0, 1.0));

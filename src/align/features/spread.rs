@@ -1,15 +1,17 @@
-//! The strongest keypoints of every part of an image, and their order.
+//! The strongest keypoints of every part of an image, and the order of keypoints.
 //!
-//! In: keypoints. Out: at most a given number of them, spread over the image; sorted by position. Cost: a sort.
+//! In: keypoints. Out: at most a given number of them, spread over the image; or all of them, sorted by position. Cost:
+//! a sort.
 
 use crate::align::features::Keypoint;
 
 /// Number of cells along the long side of the image.
 const CELLS: usize = 12;
 
-/// Returns at most `most` of `all`: the strongest of each cell of the image, so that the whole image is covered.
+/// Returns at most `most` of the items `all`. The strongest items of every cell of the image are kept, so that the
+/// whole image is covered.
 ///
-/// If some cells have few keypoints, more are kept of the others. `points[i]` is the keypoint of `all[i]`.
+/// If some cells have few keypoints, the other cells keep more. `points[i]` is the keypoint that belongs to `all[i]`.
 pub(super) fn strongest<T>(all: Vec<T>, points: &[Keypoint], (width, height): (usize, usize), most: usize) -> Vec<T> {
     if all.len() <= most {
         return all;

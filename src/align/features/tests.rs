@@ -62,13 +62,13 @@ fn either_robust_method_finds_the_motion() {
         let off = Transform::Homography(found.homography).corner_distance(&perspective(), SIZE.0, SIZE.1);
         assert!(off < 0.5 && found.inliers.len() > 100, "{off} px, {}", found.inliers.len());
     }
-    // LMedS accepts inliers within another distance than RANSAC.
+    // LMedS accepts inliers within a different distance than RANSAC.
     assert_ne!(ransac.inliers, lmeds.inliers);
 }
 
 #[test]
 fn noise_about_a_threshold_makes_few_points() {
-    // A uniform surface with noise: half of its pixels are above the median, and half below.
+    // The picture is a uniform surface with noise: half of its pixels are above the median, and half below.
     let flat = |_: f64, _: f64| 1.0;
     let shot = Shot { ev: 0.0, noise: 1.0, seed: 5 };
     let noise = crate::align::scene::photograph(SIZE, &Transform::Identity, shot, flat);
@@ -76,7 +76,8 @@ fn noise_about_a_threshold_makes_few_points() {
     let median = thresholds(&smooth)[3];
     let options = SiftOptions { double: false, max_keypoints: usize::MAX, ..SiftOptions::default() };
     let points = |exclusion| sift::detect(&bitmap(&smooth, median, exclusion), &options).len();
-    // A bitmap with hard edges is full of speckles; a ramp at the threshold reduces their contrast.
+    // A bitmap with hard edges (exclusion 1) is full of speckles; a ramp at the threshold (exclusion 4) reduces their
+    // contrast.
     assert!(points(1) > 200 && points(4) * 10 < points(1), "{} {}", points(1), points(4));
 }
 
@@ -86,8 +87,8 @@ fn thresholds_split_the_pixels_at_their_percentile() {
     let total = smooth.as_slice().len() as f64;
     for (percent, t) in PERCENTILES.iter().zip(thresholds(&smooth)) {
         let below = smooth.as_slice().iter().filter(|v| **v <= t).count() as f64 / total;
-        // A bin of the histogram, a sixteenth of a grey value, contains at most a few percent of the pixels of a dark
-        // frame.
+        // The tolerance is 3 %. A threshold is known to a bin of the histogram, a sixteenth of a grey value. In a dark
+        // frame, a bin contains at most a few percent of the pixels.
         assert!((below - *percent as f64 / 100.0).abs() < 0.03, "{percent}: {below}");
     }
 }
@@ -108,7 +109,7 @@ fn points_found_twice_are_counted_once() {
         (-0.1, 0.0, 2.0),  // across the border between squares: the same
         (90.0, 90.0, 2.0),
     ]);
-    // One keypoint of the second bitmap is in neither the first nor the grey image.
+    // Only the third keypoint of the second bitmap is in neither the first bitmap nor the grey image.
     let second = keypoints(&[(90.3, 90.0, 2.0), (10.1, 10.0, 2.0), (70.0, 10.0, 2.0)]);
     let of = |mtb: &[Features]| {
         let c = count(&plain, mtb);
@@ -121,7 +122,7 @@ fn points_found_twice_are_counted_once() {
 
 #[test]
 fn pair_found_twice_is_one_match() {
-    // In both frames, the bitmap has the same keypoint as the grey image, some tenths of a pixel away.
+    // In both frames, the bitmap's keypoint is the same as the grey image's, some tenths of a pixel away.
     let sets = |x: f32, y: f32, mtb: (f32, f32)| FeatureSets {
         plain: keypoints(&[(x, y, 2.0)]),
         mtb: vec![keypoints(&[(x + mtb.0, y + mtb.1, 2.0)])],
@@ -133,7 +134,8 @@ fn pair_found_twice_is_one_match() {
     for tenth in 0..40 {
         let at = 100.0 + 0.1 * tenth as f32;
         assert_eq!(count(at, [(0.4, -0.3), (0.5, 0.2)]), 1, "{at}");
-        // The keypoint of the bitmap is at another position in the reference, or in the frame: two matches.
+        // The keypoint of the bitmap is at another position in the reference, or in the frame. So there are two
+        // matches.
         assert_eq!(count(at, [(2.0, 0.0), (0.0, 0.0)]), 2, "{at}");
         assert_eq!(count(at, [(0.0, 0.0), (0.0, -2.0)]), 2, "{at}");
     }
@@ -141,7 +143,7 @@ fn pair_found_twice_is_one_match() {
 
 #[test]
 fn large_keypoints_count_less_in_the_last_fit() {
-    // Twelve correct small keypoints, and four large ones with an error in the same direction.
+    // There are twelve correct small keypoints, and four large keypoints that are all displaced to the right.
     let place = |i: usize| [(i * 37 % 100) as f64 * 4.0, (i * 61 % 100) as f64 * 3.0];
     let drag = |i: usize| if i < 12 { 0.0 } else { 2.0 };
     let pairs: Vec<PointPair> = (0..16).map(|i| (place(i), [place(i)[0] + drag(i), place(i)[1]])).collect();

@@ -5,8 +5,8 @@
 use crate::plane::Plane;
 use std::ops::RangeInclusive;
 
-/// The percentile of the grey values that is used as threshold: the median, or another percentile where the median is
-/// too dark or too bright (Ward: the 17th or 83rd).
+/// The percentile of the grey values that is used as the threshold of a bitmap: the median, or another percentile if
+/// the median gives too few dark or bright pixels (Ward: the 17th or 83rd).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 pub struct Percentile(pub(crate) u8);
 
@@ -28,7 +28,7 @@ impl Percentile {
         self.0
     }
 
-    /// The percentiles tried where the median is black or clipped: every multiple of five.
+    /// Returns the percentiles to try if the median gives too few dark or bright pixels: every multiple of five.
     pub(crate) fn others() -> impl Iterator<Item = Percentile> {
         (1..=19).map(|i| Percentile(5 * i))
     }
@@ -39,15 +39,15 @@ impl Percentile {
 pub struct Histogram(pub(crate) [u64; 256]);
 
 impl Histogram {
-    /// The histogram of `plane`. Of a large plane, only evenly spaced rows with about `COUNTED` pixels in all are
-    /// counted.
+    /// Returns the histogram of `plane`. In a large plane, only evenly spaced rows are counted, with one to two times
+    /// `COUNTED` pixels in all.
     pub fn of(plane: &Plane<u8>) -> Self {
         let mut counts = Counts::default();
         counted_rows((plane.width(), plane.height())).for_each(|y| counts.add(plane.row(y)));
         counts.sum()
     }
 
-    /// The histogram of a picture of this size whose rows are computed by `fill`; the same rows are counted as by
+    /// Returns the histogram of a picture of this size whose rows are computed by `fill`. It counts the same rows as
     /// [`of`](Self::of).
     pub fn of_rows((width, height): (usize, usize), fill: impl Fn(usize, &mut [u8])) -> Self {
         let (mut counts, mut row) = (Counts::default(), vec![0; width]);
@@ -85,8 +85,8 @@ impl Histogram {
         values.map(|value| self.0[usize::from(value)]).sum::<u64>() as f64 / self.total().max(1) as f64
     }
 
-    /// Returns the value v, 0..=256, for which the share of the pixels darker than v is nearest to `share`; of several
-    /// the lowest.
+    /// Returns the value v, 0..=256, for which the share of the pixels darker than v is nearest to `share`; the lowest
+    /// such value if there are several.
     pub(crate) fn value_of_share(&self, share: f64) -> usize {
         let wanted = share * self.total() as f64;
         let mut below = 0u64;
@@ -102,7 +102,7 @@ impl Histogram {
     }
 }
 
-/// Returns the rows that are counted of a picture of this size.
+/// Returns the indices of the rows that are counted in a picture of this size.
 fn counted_rows((width, height): (usize, usize)) -> impl Iterator<Item = usize> {
     (0..height).step_by((width * height / COUNTED).max(1))
 }
@@ -135,8 +135,8 @@ impl Counts {
     }
 }
 
-/// Approximate number of pixels counted for a histogram: enough for percentiles with an error of less than a tenth of a
-/// percent.
+/// Least number of pixels that are counted in a large plane (approximately). They are enough for percentiles with an
+/// error of less than a tenth of a percent.
 const COUNTED: usize = 1 << 20;
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! Grey pyramids of the frames, which all methods of alignment use.
+//! Grey pyramids of the frames, which all alignment methods use.
 //!
 //! In: a frame. Out: its [`GreyPyramid`] with histograms, and the share of its pixels that differ from its black (in a
 //! mostly white frame, from its white). Cost: one pass over the frame.
@@ -16,7 +16,7 @@ pub use pyramid::{ENOUGH_PIXELS, GreyPyramid, finest_level, measured_level};
 use crate::bracket::Frame;
 use crate::error::Result;
 
-/// The grey pyramid of `frame` with all its levels.
+/// Returns the grey pyramid of `frame` with all its levels.
 ///
 /// # Errors
 /// [`Error::Scratch`](crate::error::Error::Scratch) if the frame is on disk and cannot be read.
@@ -25,7 +25,8 @@ pub fn grey_pyramid(frame: &Frame) -> Result<GreyPyramid> {
     Ok(GreyPyramid::new(frame.greys(brightening_stops)?))
 }
 
-/// The grey pyramid of `frame` that the alignment uses: without the full size of a large frame, to save memory.
+/// Returns the grey pyramid of `frame` that the alignment uses. For a large frame it lacks the full size, to save
+/// memory.
 ///
 /// # Errors
 /// [`Error::Scratch`](crate::error::Error::Scratch) if the frame is on disk and cannot be read.

@@ -1,7 +1,7 @@
 //! The grey pyramid of a frame.
 //!
-//! In: a grey picture, or its rows. Out: [`GreyPyramid`]: levels of half the size each, with their histograms. Cost:
-//! one mean of four pixels for each pixel of the smaller levels.
+//! In: a grey picture, or its rows. Out: [`GreyPyramid`]: levels, each half the size of the one before, with their
+//! histograms. Cost: one mean of four pixels for each pixel of the smaller levels.
 
 use crate::align::grey::histogram::Histogram;
 use crate::budget::Demand;
@@ -9,29 +9,30 @@ use crate::plane::Plane;
 use crate::pyramid;
 use std::sync::OnceLock;
 
-/// Least length of the short side of the coarsest level, in pixels: large enough for a bitmap to have structure, small
-/// enough to try every shift.
+/// Least length of the short side of the coarsest level, in pixels. It is large enough for a bitmap to have structure,
+/// and small enough to try every shift.
 pub(crate) const COARSEST: usize = 32;
 
 /// The grey pyramid of a frame, the largest level first. The histogram of each level is computed on first use.
 #[derive(Debug, Clone)]
 pub struct GreyPyramid {
     size: (usize, usize),
-    /// Number of levels that are not kept: the largest ones.
+    /// Number of the largest levels, which are not kept.
     passed: usize,
     levels: Vec<(Plane<u8>, OnceLock<Histogram>)>,
 }
 
 impl GreyPyramid {
-    /// The pyramid of `grey`, down to a short side of about 32 pixels.
+    /// Returns the pyramid of `grey`. The short side of its coarsest level is 32 to 63 pixels, or less if `grey` is
+    /// smaller.
     pub fn new(grey: Plane<u8>) -> Self {
         Self::kept((grey.width(), grey.height()), 0, grey)
     }
 
-    /// The pyramid of a picture of `size` whose rows are computed by `row`.
+    /// Returns the pyramid of a picture of `size` whose rows are computed by `row`.
     ///
-    /// If the picture has more than [`ENOUGH_PIXELS`] pixels, level 0 is not kept; only two rows per thread are in
-    /// memory.
+    /// If the picture has more than [`ENOUGH_PIXELS`] pixels, level 0 is not kept (unless it is the only level); only
+    /// two of its rows per thread are in memory.
     pub(crate) fn of_rows(size: (usize, usize), row: impl Fn(usize, &mut [u8]) + Sync) -> Self {
         let (width, height) = size;
         if width * height <= ENOUGH_PIXELS || width.min(height) / 2 < COARSEST {
@@ -83,8 +84,8 @@ impl GreyPyramid {
         self.levels.is_empty()
     }
 
-    /// Returns the index of the largest level whose short side is less than `side` pixels; that of the coarsest if
-    /// there is none.
+    /// Returns the index of the largest level whose short side is less than `side` pixels; if there is none, the index
+    /// of the coarsest level.
     pub(crate) fn level_narrower_than(&self, side: usize) -> usize {
         (0..self.len()).find(|&i| self.size(i).0.min(self.size(i).1) < side).unwrap_or(self.len() - 1)
     }
@@ -96,8 +97,8 @@ impl GreyPyramid {
     }
 }
 
-/// Largest number of pixels of a level on which a motion is searched. On photographs of 12 MP the median error was
-/// 0.038 px with this limit, and 0.033 px on the full size, which takes four times as long.
+/// Largest number of pixels of a level on which bitmaps are searched for a motion. On photographs of 12 MP, the median
+/// error of the motion was 0.038 px with this limit, and 0.033 px at full size, which takes four times as long.
 pub const ENOUGH_PIXELS: usize = Demand::WHOLE_PYRAMID as usize;
 
 /// Largest number of pixels of the level on which agreement is measured and features are detected.
@@ -106,8 +107,8 @@ const MEASURED_PIXELS: usize = Demand::MEASURED_PIXELS as usize;
 /// Largest number of pixels of the finest level of the refinement: a larger level takes more time without any gain.
 const REFINED_PIXELS: usize = 4_000_000;
 
-/// Returns the index of the largest level of `pyramid` with at most `pixels` pixels; that of the coarsest if there is
-/// none.
+/// Returns the index of the largest level of `pyramid` with at most `pixels` pixels; if there is none, the index of the
+/// coarsest level.
 pub(crate) fn level_within(pyramid: &GreyPyramid, pixels: usize) -> usize {
     let area = |(width, height): (usize, usize)| width * height;
     (0..pyramid.len()).find(|&i| area(pyramid.size(i)) <= pixels).unwrap_or(pyramid.len() - 1)

@@ -1,19 +1,22 @@
-//! The camera's track over time: the transform of a frame with too little detail, with a bound of its error.
+//! The camera's track over time, from which the transform of a frame with too little detail is inferred, with a bound
+//! of its error.
 //!
-//! In: the transforms of the aligned frames, and the capture times. Out: the transform at another time, and the error
+//! In: the transforms of the aligned frames, and the capture times. Out: the transform at another time, and an error
 //! bound that holds for 19 of 20 such transforms. Cost: negligible.
 //!
-//! The model of a hand-held camera is a random walk in the picture plane. The step from frame to frame is normal and
-//! isotropic, with an unknown variance that is proportional to the time between them. The most likely transform between
-//! two frames is then interpolated linearly in time; before the first or after the last frame, it is the transform of
-//! that frame. With K observed steps, the squared distance of the true transform from the most likely one, divided by
-//! its expectation from the steps, has the F distribution with 2 and 2 K degrees of freedom (each step has two
-//! components): Fisher 1925. Its quantiles have a closed form. Frames on a tripod have steps of 0 apart from the
-//! measurement error. Steps of many pixels lead to a bound that is too large for merging.
+//! A hand-held camera is modelled as a random walk in the picture plane. The step from one frame to the next has an
+//! isotropic normal distribution. Its variance is unknown and proportional to the time between the two frames. The most
+//! likely transform at a time between two frames is then their linear interpolation; before the first or after the last
+//! frame, it is the transform of that frame. The error bound follows from K observed steps: divide the squared distance
+//! of the true transform from the most likely one by its expected value, estimated from the steps. This ratio has the F
+//! distribution with 2 and 2 K degrees of freedom, because each step has two components (Fisher 1925). The quantiles of
+//! this distribution have a closed form. On a tripod, the steps are 0 apart from the measurement error. With steps of
+//! many pixels, the bound is too large for merging.
 //!
-//! Frames of a camera that shakes around one position, or scans, do not drift: they scatter about their mean,
-//! independent of time. Where this second model is more likely by a Bayes factor of at least 20 (strong evidence
-//! according to Kass & Raftery 1995), the mean is used, with the scatter about it.
+//! If a camera shakes around one position, its frames do not drift: they scatter about their mean, independent of time.
+//! The same is true for scanned photographs. If this second model is at least 20 times as likely as the random walk
+//! (strong evidence according to Kass & Raftery 1995), the inferred transform is the mean, and the bound follows from
+//! the scatter about it.
 
 use crate::align::ladder::reduction::UNMOVED_PX;
 use crate::align::transform::{Transform, distance};
@@ -21,9 +24,9 @@ use crate::bracket::Bracket;
 
 /// The capture time of each frame of `bracket`.
 ///
-/// In seconds by the camera's clock, if all frames have it to fractions of a second. If the clock is coarser, the
-/// position in the order of capture, with equal times in the order of names. Without a clock, the position by rising
-/// exposure.
+/// If all frames have a capture time to fractions of a second: in seconds after the first. If a capture time is
+/// coarser: the frame's position in the order of capture; frames with equal times are ordered by file name. If a
+/// capture time is missing: the frame's position by rising exposure.
 pub(crate) fn capture_times(bracket: &Bracket) -> Vec<f64> {
     let frames = bracket.frames();
     let taken: Option<Vec<_>> = frames.iter().map(|frame| frame.capture.taken).collect();
@@ -35,7 +38,7 @@ pub(crate) fn capture_times(bracket: &Bracket) -> Vec<f64> {
     let mut last = None;
     for (time, &i) in order.iter().enumerate() {
         let seconds = taken[i].since(&taken[order[0]]);
-        // Frames cannot have been taken at the same time.
+        // No two frames were taken at the same time, so equal times are put one tick of the clock apart.
         capture_times[i] =
             if tick < 1.0 { last.map_or(seconds, |last: f64| seconds.max(last + tick)) } else { time as f64 };
         last = Some(capture_times[i]);
@@ -43,17 +46,17 @@ pub(crate) fn capture_times(bracket: &Bracket) -> Vec<f64> {
     capture_times
 }
 
-/// The share of inferred transforms that exceed their error bound, if the model holds.
+/// The share of inferred transforms whose error exceeds its bound, if the model of the camera is right.
 const WORSE: f64 = 0.05;
 
 /// The transform of an aligned frame.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct KnownTransform {
-    /// The capture time: in seconds, or the position among all frames.
+    /// The capture time: in seconds, or as the position in the order of capture.
     pub(crate) time: f64,
     /// Reference pixel -> frame pixel.
     pub(crate) transform: Transform,
-    /// Its error estimate: root mean square over the picture, in pixels.
+    /// Error estimate of the transform: root mean square over the picture, in pixels.
     pub(crate) error_px: f64,
 }
 
@@ -67,8 +70,8 @@ pub(crate) struct InferredTransform {
 }
 
 impl InferredTransform {
-    /// The expected root mean square error: a normal error in the plane exceeds r times this with probability
-    /// exp(-r^2).
+    /// The expected root mean square error E of the transform. It follows from the bound, because a normal error in the
+    /// plane exceeds r E with probability exp(-r^2).
     pub(crate) fn expected_px(&self) -> f64 {
         self.bound_px / (-libm::log(WORSE)).sqrt()
     }
@@ -78,17 +81,17 @@ impl InferredTransform {
 #[derive(Debug, Clone)]
 pub(crate) struct CameraTrack {
     size: (usize, usize),
-    /// In the order of time.
+    /// The aligned frames, in the order of their capture times.
     known: Vec<KnownTransform>,
-    /// The variance of a step per unit of time, summed over both axes, in pixels^2.
+    /// The variance of the camera's motion per unit of time, summed over both axes, in pixels^2.
     variance: f64,
     /// The mean transform and the variance about it, for a camera that shakes around one position.
     scatter_about: Option<(Transform, f64)>,
 }
 
 impl CameraTrack {
-    /// Fits the track of the camera to the transforms `known`, for frames of `size`. Returns `None` for fewer than
-    /// two.
+    /// Fits the track of the camera to the transforms `known`, for frames of `size`. Returns `None` if there are fewer
+    /// than two transforms.
     pub(crate) fn new(mut known: Vec<KnownTransform>, size: (usize, usize)) -> Option<Self> {
         known.sort_by(|a, b| a.time.total_cmp(&b.time));
         let count = known.len().checked_sub(1).filter(|&count| count > 0)?;
@@ -98,7 +101,7 @@ impl CameraTrack {
         Some(track)
     }
 
-    /// The square of each step in pixels^2, and its duration.
+    /// For each step between successive frames: the square of its length in pixels^2, and its duration.
     fn steps(&self) -> impl Iterator<Item = (f64, f64)> + '_ {
         let step =
             |pair: &[KnownTransform]| (self.far(&pair[0].transform, &pair[1].transform), pair[1].time - pair[0].time);
@@ -111,22 +114,22 @@ impl CameraTrack {
         far * far
     }
 
-    /// Returns the mean transform and the variance about it, if transforms that scatter about one place are more than 1
-    /// / [`WORSE`] times as likely as a random walk from frame to frame; otherwise none.
+    /// Returns the mean transform and the variance about it, if a scatter about one position is more than 1 / [`WORSE`]
+    /// times as likely as a random walk; otherwise none.
     fn about_one_place(&self) -> Option<(Transform, f64)> {
         let mut mean = self.known[0].transform;
         for (k, known) in self.known.iter().enumerate().skip(1) {
             mean = between(&mean, &known.transform, 1.0 / (k + 1) as f64, self.size);
         }
         let (all, count) = (self.known.len() as f64, self.known.len() as f64 - 1.0);
-        // A motion between two frames of up to this squared length is not detected. Half of this variance belongs to
-        // each frame.
+        // The square of the longest motion between two frames that is not detected. Half of it is attributed to each
+        // frame.
         let unseen = UNMOVED_PX * UNMOVED_PX;
         let scatter =
             self.known.iter().map(|known| self.far(&mean, &known.transform)).sum::<f64>() / count + 0.5 * unseen;
-        // Logarithm of the likelihood ratio of the steps. They are independent in a random walk; if frames scatter, the
-        // covariance matrix of the steps along an axis is the variance of the scatter times a matrix with the
-        // determinant `all`.
+        // Logarithm of the likelihood of the steps under the scatter, divided by that under the random walk. In a
+        // random walk the steps are independent. If the frames scatter, the covariance matrix of the steps along an
+        // axis is the variance of the scatter times a matrix whose determinant is `all`, the number of frames.
         let wander: f64 = self.steps().map(|(_, elapsed)| libm::log(self.variance * elapsed + unseen)).sum();
         let gain = wander - count * libm::log(scatter) - libm::log(all);
         (gain > -libm::log(WORSE)).then_some((mean, scatter))
@@ -159,20 +162,21 @@ impl CameraTrack {
             }
         };
         let wandered = self.variance * elapsed * quantile(steps);
-        // Includes a motion too small to be detected.
+        // The part of the bound from the error of the neighbouring frame's transform, and from a motion too small to be
+        // detected.
         let own = -libm::log(WORSE) * (error_px * error_px + UNMOVED_PX * UNMOVED_PX);
         InferredTransform { transform, bound_px: (wandered + own).sqrt() }
     }
 }
 
-/// The value that a variable with the F distribution with 2 and 2 `steps` degrees of freedom exceeds with probability
+/// The quantile of the F distribution with 2 and 2 `steps` degrees of freedom that is exceeded with probability
 /// [`WORSE`].
 fn quantile(steps: usize) -> f64 {
     let k = steps as f64;
     k * (libm::pow(WORSE, -1.0 / k) - 1.0)
 }
 
-/// Interpolates between `a` (`part` = 0) and `b` (`part` = 1).
+/// Interpolates linearly between the transforms `a` (at `part` = 0) and `b` (at `part` = 1).
 fn between(a: &Transform, b: &Transform, part: f64, (width, height): (usize, usize)) -> Transform {
     let numbers = |transform: &Transform| match *transform {
         Transform::Identity => Some([0.0; 3]),
@@ -185,8 +189,8 @@ fn between(a: &Transform, b: &Transform, part: f64, (width, height): (usize, usi
             let [dx, dy, angle] = std::array::from_fn(|i| a[i] + part * (b[i] - a[i]));
             Transform::Rigid { dx, dy, angle }
         }
-        // Both matrices have 1 at the lower right. For the small motions that can be inferred, interpolating the
-        // matrices interpolates the positions.
+        // Both matrices have 1 as their lower right element. For motions as small as those inferred here, interpolated
+        // matrices map a pixel to the interpolated position.
         _ => {
             let (a, b) = (a.matrix(width, height), b.matrix(width, height));
             Transform::Homography(a + (b - a) * part)
@@ -219,7 +223,8 @@ mod tests {
         for time in [0.0, 6.0] {
             let place = track.at(time);
             assert_eq!(place.transform, Transform::Identity);
-            // By hand: a motion of 0.2 px may be undetected, and 1 of 20 normal errors exceeds 1.73 times this.
+            // Computed by hand: a motion of 0.2 px (`UNMOVED_PX`) may be undetected, and 1 of 20 normal errors exceeds
+            // 1.73 times this length.
             assert!((place.bound_px - 0.2 * 1.7308).abs() < 1e-4, "{place:?}");
         }
         assert!(track.is_still());
@@ -238,8 +243,8 @@ mod tests {
         assert!(track.at(1.0).transform.corner_distance(&shift(3.0, -1.5), SIZE.0, SIZE.1) < 1e-9);
     }
 
-    /// Nineteen of twenty cameras end within the bound, whether they wander or shake, whatever the number of steps
-    /// seen.
+    /// The last position of nineteen of twenty simulated cameras is within the bound, whether they drift or shake, and
+    /// for any number of observed steps.
     #[test]
     fn bound_is_kept_by_nineteen_of_twenty_cameras() {
         for (seen, wanders) in [(2, true), (4, true), (8, true), (4, false), (12, false)] {
@@ -261,9 +266,9 @@ mod tests {
                 distance(&place.transform, &truth, SIZE.0, SIZE.1) <= place.bound_px
             };
             let kept = (0..2000).filter(|&seed| walk(seed)).count();
-            // Expected are 95 % of 2000, that is, 1900. Twice the standard deviation of this count is 20, and wrong
-            // choices between the two kinds of camera cost up to 20 more. The count may be larger, because the
-            // allowance for undetected motion widens the bound.
+            // 95 % of 2000 is 1900. The lower limit is 40 less: twice the standard deviation of this count is 20, and a
+            // wrong choice between the two models of the camera costs up to 20 more. The upper limit is higher, because
+            // the allowance for undetected motion widens the bound.
             assert!((1860..=1990).contains(&kept), "{seen} {wanders}: {kept}");
         }
     }

@@ -1,4 +1,5 @@
-//! A candidate: a transform that was found for a frame, with its agreement, error estimate and confidence.
+//! A candidate: a transform that was found for a frame, with the result of its check by tiles, error estimate and
+//! confidence.
 //!
 //! In: a pair of frames and a transform. Out: a [`Candidate`]. Cost: that of [`check_tiles`].
 
@@ -20,13 +21,15 @@ pub(crate) struct Candidate {
     pub(crate) transform: Transform,
     /// The check of the transform by tiles.
     pub(crate) tiles: Arc<TileCheck>,
-    /// Error estimate from noise and tile displacements, in pixels of the full size.
+    /// Error estimate, in pixels of the full size: the root of the sum of the squares of two parts, one from the noise
+    /// of the pixels and one from the displacements of the tiles.
     pub(crate) error_px: f64,
-    /// The part of it that the tiles measure.
+    /// The part of `error_px` from the displacements of the tiles.
     pub(crate) tile_error_px: f64,
-    /// Whether it was fitted to the tiles rather than to the pixels.
+    /// Whether the transform was fitted to the displacements of the tiles; otherwise it was fitted to the pixels.
     pub(crate) by_tiles: bool,
-    /// Reliability of the frame that the candidate was matched with, times the uniqueness of the candidate, 0..=1.
+    /// Confidence of the picture that the frame was aligned to (1 for the reference), times the uniqueness of the
+    /// candidate among all candidates, 0..=1.
     pub(crate) reliability: f64,
     /// The error that halves the confidence, in pixels: [`TOLERANCE_PX`] for a picture with a diagonal of up to 2000
     /// pixels, more for a larger one.
@@ -49,8 +52,8 @@ impl Candidate {
         self.reliability * support / (1.0 + off * off)
     }
 
-    /// The evidence for it in comparison with other candidates: agreeing minus disagreeing tiles, reduced by the error
-    /// estimate.
+    /// The evidence for the transform, used to rank candidates: the number of agreeing minus that of disagreeing tiles,
+    /// reduced by the error estimate.
     pub(crate) fn evidence(&self) -> f64 {
         let off = self.error_px / self.tolerance_px;
         let tiles = self.agreement().agreeing as f64 - self.agreement().disagreeing as f64;
@@ -66,12 +69,12 @@ impl Candidate {
     }
 }
 
-/// The candidate `transform`, checked by tiles.
+/// Checks `transform` by tiles. `noise_px` is the part of its error that the noise of the pixels causes.
 pub(crate) fn evaluate(pair: &FramePair, transform: Transform, noise_px: f64) -> Candidate {
     evaluate_with_fit(pair, transform, noise_px).0
 }
 
-/// The candidate `transform`, checked by tiles, and the transform fitted to their displacements.
+/// As [`evaluate`]; also returns the transform fitted to the displacements of the tiles, if there are enough tiles.
 pub(super) fn evaluate_with_fit(pair: &FramePair, transform: Transform, noise_px: f64) -> (Candidate, Option<TileFit>) {
     let level = measured_level(pair.reference());
     let (width, height) = pair.size();
@@ -80,7 +83,8 @@ pub(super) fn evaluate_with_fit(pair: &FramePair, transform: Transform, noise_px
     let tiles = check_tiles(both, &h);
     let fit = agreement::fit(&tiles, &h, (both.reference.width(), both.reference.height()));
     let tolerance_px = tolerance_px((width, height));
-    // The part of the displacement that exceeds the tiles' own error is an error of the transform.
+    // The tiles' displacement has two causes: the error of measuring the tiles, and the error of the transform. The
+    // square of the second is the square of the displacement, minus the square of the first.
     let tile_error = match &fit {
         Some(fit) => (fit.moved * fit.moved - fit.error * fit.error).max(0.0).sqrt(),
         None => (tiles.agreement.offset - TILE_NOISE_PX).max(0.0),
@@ -100,7 +104,7 @@ pub(super) fn evaluate_with_fit(pair: &FramePair, transform: Transform, noise_px
     (candidate, fit)
 }
 
-/// [`Candidate::tolerance_px`] of pictures of this size.
+/// Returns [`Candidate::tolerance_px`] for a picture of this size.
 pub(crate) fn tolerance_px((width, height): (usize, usize)) -> f64 {
     let diagonal = ((width * width + height * height) as f64).sqrt();
     TOLERANCE_PX * (diagonal / 2000.0).max(1.0)

@@ -1,8 +1,8 @@
-//! Alignment of a frame that the bitmaps alone do not settle: also to a neighbour in exposure, by features, and from
-//! the other minima of the bitmap search.
+//! Alignment of a doubtful frame: one for which the result of the bitmaps alone is not good enough. Further methods are
+//! tried: alignment to a neighbour in exposure, features, and the other minima of the bitmap search.
 //!
 //! In: the features of the reference, and the nearest neighbour that was aligned. Out: a [`Placement`], and the numbers
-//! of keypoints and inliers. Cost: several times that of a frame that the bitmaps settle.
+//! of keypoints and inliers. Cost: several times that of a frame that needs only the bitmaps.
 
 use crate::align::grey::GreyPyramid;
 use crate::align::ladder::ReferenceFeatures;
@@ -17,12 +17,13 @@ use crate::align::result::{FeatureCounts, Found, Placement};
 use crate::align::transform::{Transform, distance};
 use std::borrow::Cow;
 
-/// A picture that a frame is aligned to: the reference, or a neighbour warped to its grid.
+/// A picture that a frame is aligned to: the reference, or a neighbour in exposure that was warped to the reference's
+/// grid.
 pub(crate) struct Target<'a> {
     pub(crate) pyramid: Cow<'a, GreyPyramid>,
-    /// Error estimate of the neighbour's own transform, in pixels.
+    /// Error estimate of the neighbour's own transform, in pixels; 0 for the reference.
     pub(super) error_px: f64,
-    /// Confidence of the neighbour's own transform, 0..=1.
+    /// Confidence of the neighbour's own transform, 0..=1; 1 for the reference.
     pub(super) confidence: f64,
 }
 
@@ -32,7 +33,8 @@ impl Target<'_> {
         FramePair::new(&self.pyramid, frame, start)
     }
 
-    /// Includes the target's own error and confidence in a candidate found against it.
+    /// Adds the target's own error to that of `candidate`, and multiplies the candidate's reliability by the target's
+    /// confidence.
     fn discount(&self, candidate: Candidate) -> Candidate {
         let error_px = (candidate.error_px * candidate.error_px + self.error_px * self.error_px).sqrt();
         Candidate { error_px, reliability: candidate.reliability * self.confidence, ..candidate }
@@ -40,7 +42,7 @@ impl Target<'_> {
 }
 
 impl Search<'_> {
-    /// The placement of a frame that the bitmaps did not settle.
+    /// Places frame `i`, for which the bitmaps gave only the doubtful candidate `first`, or none.
     pub(super) fn doubtful(
         &self,
         i: usize,
@@ -80,7 +82,8 @@ impl Search<'_> {
                 }
             }
         }
-        // In a picture that repeats itself, a shift by a period may match as well.
+        // If the reference is a repeating pattern, a transform that is shifted by a period may match as well as the
+        // best one.
         if let Some((_, best)) = candidates.best().filter(|_| !shared.periods.is_empty()) {
             let pair = targets[0].compare(frame, &best.transform);
             let h = best.transform.matrix(width, height);
@@ -92,7 +95,8 @@ impl Search<'_> {
             let shifted: Vec<Candidate> = shifted.collect();
             shifted.into_iter().for_each(|candidate| candidates.add(0, Some(candidate)));
         }
-        // In a picture that repeats itself, features fail as easily as bitmaps.
+        // The other minima are also tried if the reference is a repeating pattern: in such a picture, features fail as
+        // easily as bitmaps.
         if !shared.periods.is_empty() || !(is_settled(&candidates) || is_corroborated) {
             let start = candidates.best().map_or(Transform::Identity, |(_, c)| c.transform);
             let angle = start.rotation_deg(width, height).to_radians();
@@ -118,8 +122,8 @@ impl Search<'_> {
         (Placement::Placed(estimate(&reduced)), found)
     }
 
-    /// Frame `n`, warped to the reference's grid, if it was placed. A transform found against this target therefore
-    /// maps pixels of the reference.
+    /// Frame `n`, warped to the reference's grid, if it was placed. A frame that is aligned to this target therefore
+    /// gets a transform from pixels of the reference.
     pub(crate) fn neighbour_target(&self, n: usize, placement: &Placement) -> Option<Target<'_>> {
         let transform = placement.transform()?;
         let pyramid = match transform {

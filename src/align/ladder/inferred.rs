@@ -1,12 +1,12 @@
 //! Transforms inferred from the other frames of a bracket, for frames with too little detail.
 //!
 //! In: the placements of all frames. Out: the placements of frames with little detail, inferred from the motion of the
-//! camera in the others. Cost: that of comparing each such frame with the reference once more, and with its neighbour
-//! in exposure on a grid of some tens of thousands of samples.
+//! camera between the other frames. Cost: each such frame is checked by tiles against the reference once more, and
+//! compared with its neighbour in exposure at some tens of thousands of samples.
 //!
 //! A frame that is nearly all black or white has little detail for alignment, but is often important: it may be the
-//! only one with unclipped lamps. Where the camera stood still for the others, or moved little from one to the next,
-//! its transform follows from theirs ([`camera_track`](crate::align::ladder::camera_track)).
+//! only one with unclipped lamps. If the camera stood still for the other frames, or moved little from one to the next,
+//! the transform of this frame is inferred from theirs ([`camera_track`](crate::align::ladder::camera_track)).
 
 use crate::align::grey::{Detail, GreyPyramid, measured_level};
 use crate::align::ladder::Search;
@@ -17,28 +17,32 @@ use crate::align::ladder::thresholds::{DECISIVE_NATS, INFERRED_CONFIDENCE, INFER
 use crate::align::result::{Estimate, Placement};
 use crate::align::transform::{Model, Transform, distance, map, on_level};
 
-/// Displacement up to which frames are static, in pixels: scans and settling tripods move by as much.
+/// Frames that are displaced by at most this count as static, in pixels: scanned photographs, and frames from a tripod
+/// that settles, are displaced by as much.
 const STATIC_PX: f64 = 1.0;
-/// Largest expected error of an assumed transform, as a multiple of the tolerance. Greater than 1, because such a frame
-/// is merged only where no other has detail ([`Placement::Assumed`]): an error displaces detail, but does not blur it.
+/// Largest expected error of an assumed transform, as a multiple of the error that halves the confidence
+/// ([`tolerance_px`]). The value is greater than 1, because such a frame is merged only where no other frame has detail
+/// ([`Placement::Assumed`]): there, an error displaces the detail, but does not blur it.
 const MOST_EXPECTED_ERROR: f64 = 2.0;
-/// Share of pixels with detail up to which a frame is nearly black or nearly white. Lamps and windows of interiors are
-/// up to a tenth of the pixels; in normally exposed photographs nearly all pixels have detail.
+/// A frame counts as nearly black or nearly white if at most this share of its pixels have detail. The value is between
+/// two cases: the lamps and windows of an interior are up to a tenth of the pixels; in a normally exposed photograph,
+/// nearly all pixels have detail.
 const LITTLE_DETAIL: f64 = 0.25;
-/// A transform is assumed only if at least this share of pairs of pixels have the same order of brightness in the
-/// neighbour. The value is halfway between chance (0.5) and all pairs (1).
+/// A transform is assumed only if at least this share of pairs of pixels have the same order of brightness in the frame
+/// and in its neighbour in exposure. The value is halfway between chance (0.5) and all pairs (1).
 const IN_ORDER: f64 = 0.75;
-/// Largest number of samples along the longer side.
+/// Largest number of samples along the longer side, for the comparison of the order of brightness.
 const GRID: usize = 256;
 /// The order of brightness is compared only if at least this many samples have detail, and at least this many have
 /// none.
 const LEAST_SAMPLES: u64 = 16;
 
 impl Search<'_> {
-    /// Sets moved frames with little detail to unmoved if most frames are exactly static.
+    /// Sets moved frames with little detail to unmoved, if most of the frames with sufficient confidence have exactly
+    /// the identity.
     ///
-    /// Frames with little detail are easily misaligned by a pixel. Those whose tiles give decisive evidence for the
-    /// motion keep it.
+    /// Frames with little detail are easily misaligned by a pixel. A frame keeps its transform if its tiles match
+    /// decisively better with it than with the identity.
     pub(crate) fn keep_static_frames_static(&self, placements: &mut [Placement]) {
         let sure =
             || placements.iter().filter(|p| p.confidence() >= INFERRING_CONFIDENCE).filter_map(|p| p.transform());
@@ -58,7 +62,8 @@ impl Search<'_> {
         }
     }
 
-    /// Sets a frame that could not be aligned to unmoved if all others are static and at least half of its tiles agree.
+    /// Sets a frame that could not be aligned to unmoved, if all aligned frames are static and at least as many of its
+    /// tiles agree with the identity as disagree.
     pub(crate) fn accept_static(&self, placements: &mut [Placement]) {
         let (width, height) = self.size();
         let others = placements.iter().filter(|p| **p != Placement::Reference).filter_map(Placement::transform);
@@ -78,7 +83,7 @@ impl Search<'_> {
         }
     }
 
-    /// The transforms that are certain enough to infer others from.
+    /// The transforms of the frames that have enough confidence to infer other transforms from them.
     pub(crate) fn known(&self, placements: &[Placement]) -> Vec<KnownTransform> {
         let known = |(i, placement): (usize, &Placement)| {
             let transform = placement.transform().filter(|_| placement.confidence() >= INFERRING_CONFIDENCE)?;
@@ -88,7 +93,8 @@ impl Search<'_> {
         placements.iter().enumerate().filter_map(known).collect()
     }
 
-    /// Gives nearly black or white frames the transform that the `known` ones predict, if its error is small enough.
+    /// Gives nearly black or white frames that could not be aligned the transform that the `known` transforms predict,
+    /// if its expected error is small enough.
     pub(crate) fn infer_from_track(&self, known: Vec<KnownTransform>, placements: &mut [Placement]) {
         let (count, size) = (known.len(), self.size());
         let Some(track) = CameraTrack::new(known, size) else { return };
@@ -115,8 +121,8 @@ impl Search<'_> {
         }
     }
 
-    /// Whether the detail of frame `i`, placed by `place`, is the brightest part of its nearest neighbour in exposure,
-    /// or the darkest part if the frame is white. That is not so for a frame of another scene.
+    /// Whether the detail of frame `i`, placed by `place`, covers the brightest part of its nearest placed neighbour in
+    /// exposure (the darkest part, if frame `i` is nearly white). In a frame of another scene, it does not.
     fn has_same_brightness_order(
         &self,
         i: usize,
@@ -131,10 +137,11 @@ impl Search<'_> {
     }
 }
 
-/// Returns the share of pairs of pixels of `frame`, one with detail and one without, whose order of brightness is the
-/// same in `target`, to which `place` aligns `frame`.
+/// Compares pairs of pixels of `frame`, one with detail and one without. Returns the share of the pairs whose order of
+/// brightness is the same in `target`, to which `place` aligns `frame`.
 ///
-/// Ties count half; none if there are too few samples. (The statistic of Mann & Whitney 1947.)
+/// A pair with equal brightness in `target` counts half. Returns none if there are too few samples. (This is the
+/// statistic of Mann & Whitney 1947.)
 fn brightness_order(
     target: &GreyPyramid,
     frame: &GreyPyramid,
@@ -146,7 +153,8 @@ fn brightness_order(
     let h = on_level(&place.transform.matrix(size.0, size.1), level);
     let (target, frame) = (target.level(level), frame.level(level));
     let step = width.max(height).div_ceil(GRID);
-    // For each grey value of the target: the number of samples without detail in the frame, and the number with detail.
+    // For each grey value of the target, two numbers of samples: those where the frame has no detail, and those where
+    // it has detail.
     let mut counts = [[0u64; 2]; 256];
     for y in (0..height).step_by(step) {
         for x in (0..width).step_by(step) {
@@ -173,7 +181,7 @@ fn brightness_order(
     Some(if detail.is_white { 1.0 - share } else { share })
 }
 
-/// The placement of a frame that is assumed to be unmoved; `here` is the candidate without motion.
+/// The placement of a frame that is set to unmoved; `here` is the candidate with the identity.
 fn unmoved(here: &Candidate, error_px: f64) -> Placement {
     let estimate = estimate(here);
     let confidence = estimate.confidence.max(INFERRED_CONFIDENCE);

@@ -1,9 +1,9 @@
 //! The local check: how much of the picture the transform of a frame does not fit.
 //!
-//! In: the placements of all frames. Out: the same placements, with the share of the picture that is displaced, the
-//! error and confidence that follow from it, and with `auto` the transform of the dominant motion where it fits more of
-//! the picture. Cost: that of a [`LocalField`] for each frame. The planes of a frame are made again, unless it was
-//! settled by the bitmaps and is checked at once.
+//! In: the placements of all frames. Out: the same placements, with the share of the picture that is displaced, and
+//! with the error and confidence that follow from this share. In the mode `auto`, the transform of the dominant motion
+//! is used where it fits more of the picture. Cost: that of a [`LocalField`] for each frame. The planes of a frame are
+//! computed again, except for frames that needed only the bitmaps: those are checked while their planes are in memory.
 
 use crate::align::AlignMode;
 use crate::align::ladder::Search;
@@ -14,14 +14,14 @@ use crate::align::result::{Estimate, Placement};
 use crate::align::transform::Model;
 use crate::plane::map_at_once;
 
-/// The local check of a frame: its estimate before and after the check.
+/// The result of the local check of a frame: its estimate before and after the check.
 pub(crate) struct LocalCheck {
     before: Estimate,
     after: Estimate,
 }
 
 impl Search<'_> {
-    /// Checks the transforms of all placed frames that were estimated.
+    /// Checks all placed frames whose transforms were estimated, not preset.
     pub(super) fn check_locally(&self, placements: &mut [Placement]) {
         let checked = map_at_once(placements.len(), self.compared_at_once, |i| match &placements[i] {
             Placement::Placed(estimate) if self.given[i].is_none() && estimate.error_px.is_some() => {
@@ -43,17 +43,19 @@ impl Search<'_> {
         }
     }
 
-    /// Checks frame `i`, whose `pair` is in memory, before all frames are placed.
+    /// Checks frame `i` while the planes of its `pair` are in memory, and stores the result for
+    /// [`check_locally`](Self::check_locally).
     pub(super) fn keep_local_check(&self, i: usize, pair: &FramePair, estimate: &Estimate) {
         self.checks[i]
             .get_or_init(|| LocalCheck { before: estimate.clone(), after: self.checked_locally(pair, estimate) });
     }
 
-    /// Returns `estimate` with an error and a confidence that include the local displacements; in [`AlignMode::Auto`]
-    /// with the transform of the dominant motion, if the frame moved.
+    /// Returns `estimate` with an error and a confidence that include the local displacements. In [`AlignMode::Auto`],
+    /// if the frame moved, its transform is replaced by that of the dominant motion where this fits more of the
+    /// picture.
     fn checked_locally(&self, pair: &FramePair, estimate: &Estimate) -> Estimate {
         let field = LocalField::new(pair, &estimate.transform);
-        // Things that moved in the scene are no reason to resample a frame from a tripod.
+        // A frame from a tripod is not resampled only because things moved in the scene.
         let is_moved = estimate.model != Model::Unmoved;
         let dominant = if self.options.mode == AlignMode::Auto && is_moved { field.dominant() } else { None };
         let (field, estimate) = match dominant {

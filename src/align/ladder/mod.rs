@@ -1,15 +1,16 @@
-//! The ladder: the order of the methods, from the cheapest to the most expensive.
+//! The ladder: the alignment methods, tried in order from the cheapest to the most expensive.
 //!
 //! In: the grey pyramids of a bracket. Out: a [`Placement`] for each frame. Cost: that of [`by_bitmaps`] for a frame
-//! that the bitmaps settle; several times as much for a difficult one.
+//! that needs no other method; several times as much for a difficult frame.
 //!
-//! A frame is aligned to the reference by bitmaps (`starts`), refined and checked (`candidate`). If that does not
-//! settle it, it is also aligned to its nearest aligned neighbour in exposure, by features, from the other minima of
-//! the bitmap search, and by shifts by a period of a reference that repeats itself (`doubtful`). `selection` chooses
-//! among the candidates, and `reduction` the smallest sufficient model. The transform of a frame with too little
-//! detail is inferred from the other frames (`inferred`, `camera_track`). At last, `local_check` measures what no
-//! single transform can fit, and replaces a compromise between several motions by the dominant one; this homography
-//! is neither refined on the pixels nor checked by tiles.
+//! A frame is aligned to the reference by bitmaps (`starts`). The transform is refined and then checked (`candidate`).
+//! If the check leaves doubt, further candidates are found (`doubtful`): by alignment to the neighbour in exposure that
+//! is already aligned, by features, from the other minima of the bitmap search, and, if the reference is a repeating
+//! pattern, by shifting the best candidate by one period. `selection` chooses among the candidates. `reduction` chooses
+//! the smallest model that suffices. The transform of a frame with too little detail is inferred from the other frames
+//! (`inferred`, `camera_track`). Finally, `local_check` measures how much of the picture the transform does not fit. If
+//! the transform is a compromise between several motions, `local_check` replaces it by the homography of the dominant
+//! motion. That homography is neither refined on the pixels nor checked by tiles.
 
 mod camera_track;
 mod candidate;
@@ -49,54 +50,54 @@ pub(crate) struct Search<'a> {
     pub(crate) pyramids: &'a [GreyPyramid],
     /// Computes the full-size grey picture of a frame.
     pub(crate) grey: &'a (dyn Fn(usize) -> Plane<u8> + Sync),
-    /// The content of each frame.
+    /// Brightness and detail of each frame.
     pub(crate) contents: &'a [Content],
     /// The capture time of each frame: in seconds, or its position in the order of capture.
     pub(crate) capture_times: &'a [f64],
-    /// Largest number of frames that are compared at a time.
+    /// Largest number of frames that are compared with the reference at the same time.
     pub(crate) compared_at_once: usize,
-    /// Largest number of frames whose features are detected at a time.
+    /// Largest number of frames whose features are detected at the same time.
     pub(crate) detected_at_once: usize,
     pub(crate) reference: usize,
-    /// The placement of each frame for which one is preset.
+    /// For each frame, its placement if the user or a file preset it; otherwise none.
     pub(crate) given: &'a [Option<Found>],
     pub(crate) options: &'a AlignOptions,
-    /// The local check of each frame that was settled, made while its planes were in memory.
+    /// The local check of each frame that the bitmaps aligned without doubt, made while its planes were in memory.
     pub(crate) checks: Vec<OnceLock<LocalCheck>>,
 }
 
 /// The placements of all frames, and their numbers of keypoints and inliers.
 type AllFound = (Vec<Placement>, Vec<FeatureCounts>);
 
-/// The result of comparing a frame with the reference by bitmaps alone.
+/// The result of aligning a frame to the reference by bitmaps and refinement, without other methods.
 enum FirstResult {
-    /// Final.
+    /// The placement is final; no other method is tried.
     Settled(Found),
-    /// The best candidate so far, if any.
+    /// Other methods must be tried. Holds the candidate of the bitmaps, if there is one.
     Doubtful(Option<Candidate>),
 }
 
-/// Properties of the reference that unsettled frames need.
+/// Properties of the reference that are needed to align the frames whose first result is [`FirstResult::Doubtful`].
 struct ReferenceFeatures {
-    /// Its features; none if every frame is settled.
+    /// The features of the reference; none if the first result of every frame is final.
     features: Option<FeatureSets>,
     /// The shifts under which the reference matches itself ([`agreement::periods`]), in pixels.
     periods: Vec<(f64, f64)>,
 }
 
 impl Search<'_> {
-    /// Aligns by bitmaps alone: a shift and a rotation.
+    /// Aligns each frame by bitmaps alone; each transform is a shift and a rotation.
     pub(crate) fn by_bitmaps_alone(&self) -> AllFound {
         self.each(|i| {
             let found = bitmaps::search(self.reference_pyramid(), &self.pyramids[i], 0, &self.options.mtb);
             let checked = self.evaluate(i, found.transform());
-            // The two estimates cover different errors.
+            // The tile check and the bitmap search estimate different errors, so the larger estimate is used.
             let checked = Candidate { error_px: checked.error_px.max(found.error_px), ..checked };
             (Placement::Placed(estimate(&checked)), FeatureCounts::default())
         })
     }
 
-    /// Aligns by features alone: a homography.
+    /// Aligns each frame by features alone; each transform is a homography.
     pub(crate) fn by_features_alone(&self) -> AllFound {
         let sets = map_at_once(self.pyramids.len(), self.detected_at_once, |i| self.features(i));
         let (placements, mut counts) = self.each(|i| {
@@ -118,7 +119,7 @@ impl Search<'_> {
         (placements, counts)
     }
 
-    /// Aligns by all methods, as far as needed.
+    /// Aligns each frame by as many methods as it needs.
     pub(crate) fn auto(&self) -> AllFound {
         let (width, height) = self.size();
         if width.min(height) < LEAST_SIDE {
@@ -132,8 +133,8 @@ impl Search<'_> {
         let is_settled = |i: usize| i == self.reference || matches!(first[i], FirstResult::Settled(_));
         let features = (0..first.len()).any(|i| !is_settled(i)).then(|| self.features(self.reference));
         let shared = ReferenceFeatures { features, periods };
-        // From the reference to the darker and to the brighter frames, so that the neighbour of an unsettled frame is
-        // already placed.
+        // Frames are placed outwards from the reference, on the darker and on the brighter side, so that the inner
+        // neighbour of a frame is placed before the frame itself.
         let orders: [Vec<usize>; 2] =
             [(0..self.reference).rev().collect(), (self.reference + 1..first.len()).collect()];
         let mut sides = map_at_once(2, self.detected_at_once, |side| self.outwards(&orders[side], &first, &shared));
@@ -149,7 +150,7 @@ impl Search<'_> {
         (placements, counts)
     }
 
-    /// Whether frame `i` should have been aligned, but was rejected.
+    /// Whether frame `i` was rejected because its alignment failed, not because the user or the flash excluded it.
     fn could_not_align(&self, i: usize, placement: &Placement) -> bool {
         self.given[i].is_none() && matches!(placement, Placement::Rejected { .. })
     }
@@ -196,20 +197,20 @@ impl Search<'_> {
         features::features(&self.pyramids[i], level, &self.options.detector(), self.options.mtb.exclusion)
     }
 
-    /// The homography of the consensus of the matches, and the number of inliers.
+    /// The homography on which the largest number of matches agree (the inliers), and this number.
     fn consensus(&self, reference: &FeatureSets, frame: &FeatureSets) -> Option<(Transform, usize)> {
         let to_full = level_to_full(measured_level(self.reference_pyramid()));
         let found = features::by_matches(reference, frame, &to_full, self.options)?;
         Some((Transform::Homography(found.homography), found.inliers.len()))
     }
 
-    /// The candidate `transform` of frame `i`, checked by tiles.
+    /// Checks `transform` by tiles, as a candidate for frame `i`.
     pub(crate) fn evaluate(&self, i: usize, transform: Transform) -> Candidate {
         evaluate(&FramePair::new(self.reference_pyramid(), &self.pyramids[i], &transform), transform, 0.0)
     }
 
-    /// Places the frames of `order`, which starts next to the reference. An unsettled frame is also compared with the
-    /// nearest frame before it that was placed.
+    /// Places the frames of `order`, which starts next to the reference. A frame whose first result is not final is
+    /// also compared with a neighbour: the nearest frame that precedes it in `order` and was placed.
     fn outwards(&self, order: &[usize], first: &[FirstResult], shared: &ReferenceFeatures) -> Vec<Found> {
         let mut all: Vec<Found> = Vec::with_capacity(order.len());
         for &i in order {
@@ -226,10 +227,10 @@ impl Search<'_> {
         all
     }
 
-    /// Leaves all frames unmoved if they are uniform or smaller than any level that is searched.
+    /// Leaves frames unmoved if none could be aligned because all are uniform or shorter than [`COARSEST`] on one side.
     ///
-    /// Such frames cannot be aligned, and a uniform picture need not be. Nothing excludes another transform, so the
-    /// confidence is 0.
+    /// Such frames cannot be aligned, and a uniform picture does not need alignment. The confidence is 0, because any
+    /// other transform would fit as well.
     fn leave_uniform_frames_unmoved(&self, placements: &mut [Placement]) {
         if placements.iter().any(|p| *p != Placement::Reference && p.transform().is_some()) {
             return;
@@ -257,7 +258,7 @@ impl Search<'_> {
     }
 }
 
-/// Places the frames of `bracket` by `find`, except those whose placement is `given`.
+/// Places the frames of `bracket` with the method `find`, except those whose placement is `given`.
 pub(crate) fn search(
     bracket: &Bracket,
     options: &AlignOptions,
@@ -267,11 +268,10 @@ pub(crate) fn search(
     let prepared = bracket.map_whole(content_and_pyramid);
     let (contents, pyramids): (Vec<_>, Vec<_>) = prepared.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
     let capture_times = capture_times(bracket);
-    // If the search cannot read a full-size picture, its result is discarded.
+    // The first error of reading a full-size picture. If there is one, the result of the search is discarded.
     let failed = OnceLock::new();
     let grey = |i: usize| {
         bracket.frames()[i].greys(contents[i].brightening_stops).unwrap_or_else(|error| {
-            // Only the first error is kept.
             let _ = failed.set(error);
             Plane::filled(bracket.width(), bracket.height(), 0)
         })

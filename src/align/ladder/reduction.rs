@@ -1,7 +1,7 @@
 //! Model selection: the smallest model that explains a motion as well as the homography that was found.
 //!
 //! In: a pair of frames and a [`Candidate`]. Out: a candidate of the smallest sufficient [`Model`]. Cost: a refinement
-//! on the finest level for each smaller model that is near the homography.
+//! on the finest level for each smaller model that can come near the homography.
 
 use crate::align::grey::{finest_level, measured_level};
 use crate::align::ladder::candidate::Candidate;
@@ -9,25 +9,27 @@ use crate::align::ladder::candidate::evaluate;
 use crate::align::refinement::{FramePair, refine};
 use crate::align::transform::{Model, Transform, distance, level_to_full, restrict};
 
-/// Distance up to which two transforms are treated as the same, in pixels (root mean square over the picture).
+/// Transforms whose distance is at most this count as the same, in pixels (root mean square over the picture).
 const SAME_PX: f64 = 0.03;
 
-/// Distance up to which a transform of fewer parameters explains the motion equally well, in standard errors: a larger
-/// one would be significant at the level of 5 %.
+/// A transform with fewer parameters explains the motion equally well if its distance from the homography is at most
+/// this many standard errors of the homography. A larger distance would be significant at the level of 5 %.
 const STANDARD_ERRORS: f64 = 2.0;
 
-/// A model with fewer parameters is fitted only if its starting values differ from the homography by at most this many
-/// times the error of the homography.
+/// A model with fewer parameters is fitted only if the nearest transform of this model is not too far from the
+/// homography: at most this many times the distance up to which it would explain the motion equally well.
 const MOST_EXCESS: f64 = 5.0;
 
-/// Displacement up to which a frame is unmoved, in pixels: resampling would do more harm than good.
+/// A frame that is displaced by at most this counts as unmoved, in pixels: to resample it would do more harm than good.
 pub(crate) const UNMOVED_PX: f64 = 0.2;
 
-/// Reduces `whole` to the smallest model that explains the motion equally well within the error.
+/// Reduces the candidate `whole`, usually a homography, to the smallest model that explains the motion equally well
+/// within the error.
 pub(crate) fn reduce(pair: &FramePair, whole: Candidate) -> Candidate {
     let (width, height) = pair.size();
     let level = measured_level(pair.reference());
-    // Tiles cannot distinguish transforms that are closer than this.
+    // If a smaller model is closer to `whole` than this, tiles cannot distinguish the two, so the check of `whole` is
+    // reused.
     let alike_px = ALIKE * level_to_full(level)[(0, 0)];
     let checked = |transform: Transform, noise_px: f64, apart: f64| {
         if apart > alike_px {
@@ -46,12 +48,12 @@ pub(crate) fn reduce(pair: &FramePair, whole: Candidate) -> Candidate {
         }
     }
     if whole.by_tiles {
-        // Refinement on the pixels would undo the fit to the tiles.
+        // The smaller models are refined on the pixels, which would undo the fit of `whole` to the tiles.
         return whole;
     }
     let finest = finest_level(pair.reference());
     for model in [Model::Shift, Model::Rigid] {
-        // Excludes models that are far off before the expensive fit.
+        // Skips the expensive fit for models that cannot come near.
         let near = Transform::Homography(restrict(&whole.transform.matrix(width, height), model, width, height));
         if distance(&whole.transform, &near, width, height) > MOST_EXCESS * SAME_PX.max(uncertainty_px) {
             continue;
@@ -61,8 +63,8 @@ pub(crate) fn reduce(pair: &FramePair, whole: Candidate) -> Candidate {
         };
         let apart = distance(&whole.transform, &smaller.transform, width, height);
         if apart <= SAME_PX.max(uncertainty_px) {
-            // The smaller model was only compared with the homography, so its error estimate is at least half of the
-            // homography's.
+            // The smaller model is accepted only because it is near the homography. Therefore its error estimate is set
+            // to at least half of the homography's.
             let noise_px = smaller.error_px.max(0.5 * whole.error_px);
             let candidate = checked(smaller.transform, noise_px, apart);
             if candidate.agreement().share() >= whole.agreement().share() - 0.02
@@ -75,6 +77,6 @@ pub(crate) fn reduce(pair: &FramePair, whole: Candidate) -> Candidate {
     whole
 }
 
-/// Tiles distinguish two transforms only if their distance exceeds this, in pixels of the level on which tiles are
-/// measured.
+/// Tiles can distinguish two transforms only if the distance between the transforms exceeds this, in pixels of the
+/// level on which tiles are measured.
 const ALIKE: f64 = 0.1;

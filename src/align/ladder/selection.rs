@@ -1,7 +1,7 @@
 //! Selection among the candidates of a frame, and the placement that follows.
 //!
-//! In: [`Candidate`]s. Out: the winner and its uniqueness, or none; the [`Placement`]. Cost: negligible. A pure
-//! function of the candidates.
+//! In: [`Candidate`]s. Out: the selected candidate and its uniqueness, or none; the [`Placement`]. Cost: negligible.
+//! The result depends only on the candidates.
 
 use crate::align::ladder::candidate::Candidate;
 use crate::align::ladder::thresholds::{
@@ -20,7 +20,8 @@ pub(super) fn is_acceptable(candidate: &Candidate) -> bool {
         || (unopposed && candidate.reliability >= ACCEPTED_RELIABILITY && candidate.error_px < candidate.tolerance_px)
 }
 
-/// The candidates of a frame, each with the index of the target that it was found against.
+/// The candidates of a frame, each with the index of the target (the reference, or a warped neighbour) that the frame
+/// was aligned to.
 #[derive(Default)]
 pub(super) struct Candidates(Vec<(usize, Candidate)>);
 
@@ -29,7 +30,8 @@ impl Candidates {
         self.0.extend(candidate.map(|c| (target, c)));
     }
 
-    /// The candidate with the most evidence; of nearly equal ones the first, which was found more directly.
+    /// The candidate with the most evidence (tiles that agree minus tiles that disagree). If several are nearly equal,
+    /// the first, which was found more directly.
     pub(super) fn best(&self) -> Option<(usize, &Candidate)> {
         self.0.iter().map(|(b, c)| (*b, c)).reduce(|best, other| {
             if other.1.evidence() > best.1.evidence() * LATER_EVIDENCE_FACTOR + LATER_EVIDENCE_TILES {
@@ -40,7 +42,8 @@ impl Candidates {
         })
     }
 
-    /// Marks the best candidate as corroborated by features if `found` is true for it; returns whether it is.
+    /// Marks the best candidate as corroborated if `found`, which says whether features gave the same transform, is
+    /// true for it. Returns whether it is true.
     pub(super) fn corroborate(&mut self, found: impl Fn(&Candidate) -> bool) -> bool {
         let best = self.best().map(|(_, c)| c.transform);
         let mut any = false;
@@ -53,10 +56,13 @@ impl Candidates {
 
     /// The selected candidate and its target.
     ///
-    /// This is the best candidate, unless another one with the same target and comparable evidence is decisively
-    /// better. Then the candidate is selected whose worst comparison with the others is best. Two candidates are
-    /// compared only on tiles that have a correlation under both transforms. (A wrong shift, by a period of a facade,
-    /// may have more evidence only because more of its tiles are inside the frame.)
+    /// This is the [best](Self::best) candidate, unless another candidate with the same target and comparable evidence
+    /// is decisively better in a direct comparison. Then every such candidate is compared with each of the others, and
+    /// the one whose worst result is the highest is selected. Two candidates are compared only on tiles that have a
+    /// correlation under both transforms. (In a repeating facade, a shift that is wrong by one period may have more
+    /// evidence, only because it leaves more tiles inside the frame.)
+    ///
+    /// `alike` says whether two candidates are estimates of the same transform; these are not compared.
     pub(super) fn winner(&self, alike: impl Fn(&Candidate, &Candidate) -> bool) -> Option<(usize, &Candidate)> {
         let (target, best) = self.best()?;
         let contenders = self.alternatives(target, best, |_| true);
@@ -72,8 +78,8 @@ impl Candidates {
         Some((target, winner.1))
     }
 
-    /// The candidates against `target` whose evidence is comparable with that of `best` and for which `is_other` is
-    /// true. `best` may be one of them.
+    /// The candidates for `target` that have at least [`COMPARABLE_EVIDENCE`] times the evidence of `best`, and for
+    /// which `is_other` is true. They may include `best` itself.
     fn alternatives(&self, target: usize, best: &Candidate, is_other: impl Fn(&Candidate) -> bool) -> Vec<&Candidate> {
         let least = COMPARABLE_EVIDENCE * best.evidence();
         let same_target = self.0.iter().filter(|(b, _)| *b == target).map(|(_, c)| c);
@@ -82,8 +88,8 @@ impl Candidates {
 
     /// The uniqueness of `best`, 0..=1.
     ///
-    /// 1 if no other candidate is comparable with it; one half if the tiles that are decided under both prefer it to
-    /// the closest of the `others` by [`DECISIVE_NATS`].
+    /// 1 if none of the `others` has comparable evidence. Otherwise it depends on the lead of `best` in the direct
+    /// comparison with the closest of the `others`: 0 for no lead, 1/2 for a lead of [`DECISIVE_NATS`].
     pub(super) fn uniqueness(&self, (target, best): (usize, &Candidate), others: impl Fn(&Candidate) -> bool) -> f64 {
         let leads = self.alternatives(target, best, others).into_iter().map(|c| best.tiles.evidence_over(&c.tiles));
         let lead = leads.fold(f64::INFINITY, f64::min);
@@ -91,7 +97,7 @@ impl Candidates {
     }
 }
 
-/// Why a frame with this best candidate, or none, is rejected.
+/// The reason why a frame is rejected whose best candidate is `candidate`, in words.
 pub(super) fn rejection_reason(candidate: Option<&Candidate>) -> String {
     match candidate {
         None => "it has too little in common with the reference to estimate its motion".into(),
@@ -107,7 +113,7 @@ pub(super) fn rejection_reason(candidate: Option<&Candidate>) -> String {
     }
 }
 
-/// The estimate that `candidate` gives.
+/// Converts `candidate` to an [`Estimate`] without a local check.
 pub(crate) fn estimate(candidate: &Candidate) -> Estimate {
     Estimate {
         transform: candidate.transform,
@@ -119,8 +125,7 @@ pub(crate) fn estimate(candidate: &Candidate) -> Estimate {
     }
 }
 
-/// The placement of a frame that could not be aligned for this `reason`; `confidence` is that of the best transform
-/// found.
+/// The placement of a frame that could not be aligned. `confidence` is that of the best transform found.
 pub(super) fn rejected(reason: String, confidence: f64) -> Placement {
     let confidence = confidence.min(ACCEPTED_CONFIDENCE);
     Placement::Rejected { by: RejectedBy::Alignment, confidence, reason: Some(reason) }
@@ -134,7 +139,8 @@ mod tests {
     use crate::align::scene::shift;
     use std::sync::Arc;
 
-    /// A candidate that moves by `x` pixels, with `agreeing` and `disagreeing` tiles in all parts of the picture.
+    /// A candidate for a shift by `x` pixels to the right, with the given numbers of agreeing and disagreeing tiles,
+    /// spread over the whole picture.
     fn candidate(x: f64, agreeing: usize, disagreeing: usize) -> Candidate {
         let agreement = Agreement { agreeing, disagreeing, parts: 9.min(agreeing), ..Agreement::default() };
         let correlation = |i| Some(if i < agreeing { 0.95 } else { 0.1 });
@@ -162,23 +168,25 @@ mod tests {
         a.transform.corner_distance(&b.transform, 480, 320) < 1.0
     }
 
-    /// Each row of the table has the numbers of agreeing and of disagreeing tiles, then whether the candidate is
-    /// settled, whether it is accepted, and its confidence.
+    /// Each row of the table has two parts. The first has the numbers of agreeing and of disagreeing tiles. The second
+    /// says whether the candidate is settled (good enough without other methods), whether it is accepted, and its
+    /// confidence.
     #[test]
     fn candidate_by_its_tiles_is_settled_accepted_or_rejected() {
         let table = [
-            // Many agree, one in forty disagrees: (78 + 1.5) / (80 + 5).
+            // Many tiles agree and one in forty disagrees. The confidence is (78 + 1.5) / (80 + 5).
             ((78, 2), (true, true, 0.93)),
-            // One more disagrees.
+            // One tile more disagrees, which is too many to settle.
             ((77, 3), (false, true, 0.92)),
-            // Too few to settle, none disagrees.
+            // No tile disagrees, but too few agree to settle.
             ((11, 0), (false, true, 0.78)),
-            // Few, but nearly all agree.
+            // Very few tiles agree, but none disagrees.
             ((3, 0), (false, true, 0.49)),
-            // As many disagree: (10 + 1.5) / (20 + 5).
+            // As many tiles disagree as agree. The confidence is (10 + 1.5) / (20 + 5).
             ((10, 10), (false, true, 0.46)),
             ((10, 30), (false, false, 0.25)),
-            // No tile is decided, as in a black frame: the prior of 0.3 times the smallest coverage of one half.
+            // No tile has enough contrast, as in a black frame. The confidence is the prior share of agreeing tiles
+            // (0.3) times the smallest coverage (one half).
             ((0, 0), (false, false, 0.15)),
         ];
         for ((agreeing, disagreeing), (settled, accepted, confidence)) in table {
@@ -212,7 +220,7 @@ mod tests {
         let all = candidates([(0, candidate(3.0, 30, 0)), (0, candidate(40.0, 30, 0))]);
         let (target, winner) = all.winner(alike).unwrap();
         assert_eq!((target, winner.transform), (0, shift(3.0, 0.0)));
-        // The tiles that are decided under both prefer neither.
+        // All tiles match equally well under both transforms.
         assert_eq!(all.uniqueness((target, winner), |c| !alike(c, winner)), 0.0);
     }
 
@@ -224,8 +232,8 @@ mod tests {
         assert_eq!(all.uniqueness((target, winner), |c| !alike(c, winner)), 1.0);
     }
 
-    /// As with a facade that repeats: under a wrong shift by one period (here 40 px), more tiles are inside the frame
-    /// and decided than under the true shift (3 px), but each of them matches worse. The true shift must win.
+    /// A facade that repeats: under a shift that is wrong by one period (here 40 px), more tiles are inside the frame
+    /// than under the true shift (3 px), but each tile matches worse. The true shift must be selected.
     #[test]
     fn alternative_that_is_better_on_the_common_tiles_wins_over_more_tiles() {
         let weak = |x, tiles: usize, correlation| {

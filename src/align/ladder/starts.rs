@@ -1,8 +1,8 @@
-//! Candidates from the starting transform of each method: the bitmaps, their other minima, or any given transform. Each
-//! is refined, then checked.
+//! Candidates made from starting transforms: the result of the bitmap search, its other minima, or a given transform.
+//! Each starting transform is refined, and the result is checked by tiles.
 //!
-//! In: the grey pyramids of the reference and a frame, and transforms to start from. Out: [`Candidate`]s. Cost: that of
-//! [`refine`] and of the check for each start.
+//! In: the grey pyramids of the reference and a frame, and transforms to start from. Out: [`Candidate`]s. Cost: for
+//! each starting transform, that of [`refine`] and of the check by tiles.
 
 use crate::align::agreement::TileFit;
 use crate::align::bitmaps;
@@ -14,16 +14,19 @@ use crate::align::resampling::bilinear::BilinearRows;
 use crate::align::transform::{Model, Transform, corners, level_to_full, map, off_level};
 use crate::plane::Plane;
 
-/// Refinement starts this many levels coarser than the level of agreement, where an error of 4 px is one pixel.
+/// Refinement starts this many levels coarser than the level on which tiles are measured. With 2, an error of 4 px on
+/// that level is 1 px on the starting level.
 const CAPTURE_LEVELS: usize = 2;
 
-/// The pyramid of `grey` warped to the reference's grid by `transform`. Pixels outside repeat the border.
+/// The pyramid of `grey` after it was warped to the reference's grid by `transform`. Where `grey` has no pixel, its
+/// border pixels are repeated.
 pub(crate) fn warped_to_reference(grey: &Plane<u8>, transform: &Transform) -> GreyPyramid {
     let rows = BilinearRows::new(grey, transform);
     GreyPyramid::of_rows((grey.width(), grey.height()), |y, row| rows.row(y, row))
 }
 
-/// The candidate of the bitmaps, and the pair that it was refined on.
+/// Aligns `frame` to `reference` by the bitmap search. Returns the refined candidate, and the pair of frames on which
+/// it was refined.
 pub(crate) fn by_bitmaps<'a>(
     reference: &'a GreyPyramid,
     frame: &'a GreyPyramid,
@@ -35,7 +38,8 @@ pub(crate) fn by_bitmaps<'a>(
     (pair, candidate)
 }
 
-/// Candidates from the other minima of the bitmap search: first the best few, fully refined, then all, partly refined.
+/// Candidates from the other minima of the bitmap search. The list begins with the best few, fully refined; then all
+/// follow, refined only down to the level on which tiles are measured.
 pub(crate) fn by_alternatives(pair: &FramePair, angle: f64, options: &MtbOptions) -> Vec<Candidate> {
     let measured = measured_level(pair.reference());
     let mut rough: Vec<Candidate> =
@@ -58,11 +62,11 @@ const MOST_ALTERNATIVES: usize = 8;
 /// Largest number of alternatives that are fully refined.
 const REFINED_ALTERNATIVES: usize = 2;
 
-/// Refines `start` as a homography, from `capture` levels above that of agreement, and checks it by tiles; corrects it
-/// where the tiles measure a displacement.
+/// Refines `start` as a homography and checks the result by tiles. If the tiles measure a displacement, the transform
+/// is corrected by it. Refinement starts `capture` levels coarser than the level on which tiles are measured.
 pub(crate) fn by_start(pair: &FramePair, start: &Transform, capture: usize) -> Option<Candidate> {
     let levels = (measured_level(pair.reference()) + capture, finest_level(pair.reference()));
-    // A smaller model is used where the refinement of a larger one fails or diverges.
+    // If the refinement of a model fails or diverges, the model with the next fewer parameters is used.
     let found = [Model::Homography, Model::Rigid, Model::Shift].into_iter().find_map(|model| {
         let found = refine(pair, start, model, levels)?;
         is_sane(&found.transform, pair.size()).then_some(found)
@@ -71,8 +75,8 @@ pub(crate) fn by_start(pair: &FramePair, start: &Transform, capture: usize) -> O
     Some(by_tiles(pair, &candidate, fit).unwrap_or(candidate))
 }
 
-/// Returns the transform fitted to the tiles, if it differs significantly from that of `from` and matches the tiles
-/// better.
+/// Corrects the transform of `from` by `fit`, the transform fitted to the displacements of its tiles. Returns none
+/// unless the correction is significant and the tiles match better after it.
 fn by_tiles(pair: &FramePair, from: &Candidate, mut fit: Option<TileFit>) -> Option<Candidate> {
     let level = measured_level(pair.reference());
     let mut best = None;
@@ -105,8 +109,8 @@ const LEAST_SIGNIFICANCE: f64 = 2.0;
 /// A correction is made only if the displacement of the tiles exceeds this, in pixels of their level.
 const LEAST_TILE_MOVE: f64 = 0.05;
 
-/// Whether a hand-held camera can cause this transform: no corner moves by a third of the diagonal, and no side becomes
-/// half or twice as long.
+/// Whether a hand-held camera can cause this transform: every corner moves by less than a third of the diagonal, and
+/// every side keeps between half and twice its length.
 pub(super) fn is_sane(transform: &Transform, (width, height): (usize, usize)) -> bool {
     let diagonal = ((width * width + height * height) as f64).sqrt();
     let h = transform.matrix(width, height);

@@ -24,15 +24,15 @@ fn the_smallest_model_that_explains_is_chosen() {
         (perspective(), Model::Homography),
     ] {
         let frame = taken(&truth, 1.0);
-        // As in the ladder, the homography comes first.
+        // As in the ladder, a homography is found first and then reduced.
         let pair = FramePair::new(&reference, &frame, &truth);
         let whole = by_start(&pair, &truth, 1).unwrap();
         let chosen = reduce(&pair, whole);
         let model = Model::of(&chosen.transform);
         assert_eq!(model, expected, "{:?}", chosen.transform);
-        // The corners of the homography have an error of up to 0.05 px here (see `refine`). A model with fewer
-        // parameters is chosen if it differs from the homography by no more than this error, so its corners may be
-        // wrong by twice as much.
+        // The tests of `refinement` find the corners of a homography with an error of up to 0.05 px. A model with fewer
+        // parameters is chosen if it differs from the homography by no more than this error, so the limit is twice as
+        // large.
         let error = chosen.transform.corner_distance(&truth, SIZE.0, SIZE.1);
         assert!(error < 0.1, "{error} px for {expected:?}");
         assert!(chosen.confidence() > 0.8, "{chosen:?}");
@@ -47,8 +47,8 @@ fn bitmaps_settle_an_ordinary_pair() {
         let found = by_bitmaps(&reference, &frame, &MtbOptions::default()).1.unwrap();
         assert!(found.is_settled(), "{found:?}");
         assert!(found.transform.corner_distance(&truth, SIZE.0, SIZE.1) < 0.1, "{found:?}");
-        // The stated error must exceed the actual one, but not by much: the corners have an error of up to 0.05 px (see
-        // `refine`).
+        // The error estimate must be larger than the actual error, but less than 0.05 px, the limit of the corner
+        // errors in the tests of `refinement`.
         let error = distance(&found.transform, &truth, SIZE.0, SIZE.1);
         assert!(error < found.error_px && found.error_px < 0.05, "{error} against {}", found.error_px);
     }
@@ -67,7 +67,7 @@ fn another_scene_never_settles() {
 fn impossible_camera_motion_is_rejected() {
     let (w, h) = (SIZE.0 as f64 - 1.0, SIZE.1 as f64 - 1.0);
     let scaled = |sx: f64, sy: f64| {
-        // About the centre.
+        // Scales by (sx, sy) about the centre of the picture.
         let m = Matrix3::new(sx, 0.0, (1.0 - sx) * w / 2.0, 0.0, sy, (1.0 - sy) * h / 2.0, 0.0, 0.0, 1.0);
         Transform::Homography(m)
     };
@@ -82,7 +82,8 @@ fn impossible_camera_motion_is_rejected() {
 
 #[test]
 fn a_level_maps_to_the_full_size_centre_to_centre() {
-    // Pixel 0 of level 2 is the mean of pixels 0 to 3.
+    // Pixel 0 of level 2 is the mean of pixels 0 to 3 of the full size, whose centre is 1.5. Likewise, pixel 5 is the
+    // mean of pixels 20 to 23.
     assert_eq!(map(&level_to_full(2), 0.0, 5.0), (1.5, 21.5));
     assert_eq!(level_to_full(0), Matrix3::identity());
 }

@@ -1,14 +1,16 @@
-//! The dominant motion: the homography that fits the largest part of a picture in which parts move differently.
+//! The dominant motion: if the parts of a picture move differently, the homography that fits the largest part.
 //!
-//! In: the cells of a [`LocalField`](super::LocalField), that is, displacements from a transform. Out: the homography
-//! within a pixel of most of the cells, or none if the transform is nearly as good. Cost: 200 trials of 8 x 8 equations
-//! and 48 refinements, each on up to 1500 cells: some 30 ms. Source: Fischler & Bolles, CACM 24(6), 1981 (random
-//! samples, scored by the number of inliers); Chum, Matas & Kittler, DAGM 2003 (the best samples are refined).
+//! In: the cells of a [`LocalField`](super::LocalField), that is, displacements from a given transform. Out: the
+//! homography that fits the largest number of cells within a pixel, or none if the given transform fits nearly as many.
+//! Cost: 200 trials, each of which solves 8 x 8 equations, and 48 refinements, each on up to 1500 cells: some 30 ms.
+//! Source: Fischler & Bolles, CACM 24(6), 1981 (random samples, scored by the number of inliers); Chum, Matas &
+//! Kittler, DAGM 2003 (the best samples are refined).
 //!
-//! Refinement minimises the difference of the pixels. Where parts of the picture move differently by a few pixels, its
-//! result is a compromise that fits none of them, and it fits the part with the strongest contrast best. Here, all
-//! cells whose displacement is more precise than the tolerance have nearly equal weights, whatever their contrast. A
-//! less precise cell has a smaller weight, and a cell that moves differently has none.
+//! The refinement on the pixels minimises the difference of the pixels. If the motions of the parts of a picture differ
+//! by a few pixels, its result is a compromise that fits no part exactly, and the part with the strongest contrast
+//! best. Here, in contrast, all cells whose displacement is more precise than the tolerance have nearly equal weights,
+//! whatever their contrast. A less precise cell has a smaller weight, and a cell that moves differently has the weight
+//! 0.
 
 use crate::align::local::cell::{Cell, square};
 use crate::align::transform::{Increment, Model};
@@ -16,43 +18,46 @@ use crate::statistics::{TUKEY, biweight, random};
 use nalgebra::{DMatrix, DVector, Matrix3};
 use std::cmp::Reverse;
 
-/// Tolerances that are tried in the refinement; the result that most cells fit is used. Each is the standard deviation,
-/// along an axis, of the displacements that a homography leaves, in pixels of the full size. A cell displaced by
-/// [`TUKEY`] times the tolerance (0.9, 1.6 and 2.8 px) or more has no weight. The smallest tolerance makes the
-/// homography follow one of several planes, the largest a curved surface as a whole.
+/// Tolerances that are tried in the refinement of the homography; the result that fits the most cells is used. A
+/// tolerance is the assumed standard deviation, along an axis, of the displacements of the cells from the homography,
+/// in pixels of the full size. A precise cell that is displaced by [`TUKEY`] times the tolerance (0.9, 1.6 and 2.8 px)
+/// or more has no weight. With the smallest tolerance, the homography fits one of several planes; with the largest, it
+/// fits a curved surface as a whole.
 const TOLERANCES_PX: [f64; 3] = [0.2, 0.35, 0.6];
-/// Displacement up to which a cell fits, in pixels of the full size: no double edge is visible.
+/// A cell fits a homography if it is displaced from it by less than this (more, if its displacement is imprecise), in
+/// pixels of the full size. Up to this displacement, no double edge is visible.
 const FITS_PX: f64 = 1.0;
-/// Number of random samples. If half of the cells have the dominant motion, about twelve samples consist of such cells
-/// only.
+/// Number of random samples of four cells. If half of the cells have the dominant motion, about twelve samples (200 /
+/// 2^4) consist of such cells only.
 const TRIALS: u64 = 200;
-/// Number of starts that are refined: the best among the motions of the samples and the present transform.
+/// Number of motions that are refined: the best of a list of the motions of all samples, and of no motion (the given
+/// transform itself).
 const SETTLED: usize = 16;
-/// Number of cells of a sample: four determine a homography.
+/// Number of cells of a sample: four points determine a homography.
 const SAMPLE: usize = 4;
-/// Largest number of cells that a sample is compared with.
+/// Largest number of cells on which the motions of the samples are compared and refined.
 const COMPARED: usize = 1500;
-/// Numbers of steps of reweighted least squares: in the refinement of each start, and at the end on all cells.
+/// Numbers of steps of reweighted least squares: (in the refinement of each motion, at the end on all cells).
 const STEPS: (usize, usize) = (5, 10);
-/// Length over which displacements are alike, in cells. A square of cells with this side counts as one observation for
-/// the prior and for the error estimate.
+/// Cells that are closer together than this, in cells, have similar displacements. Therefore a square of cells with
+/// this side counts as one independent observation, for the prior and for the error estimate.
 const ALIKE_CELLS: f64 = 6.0;
-/// A result must increase the number of cells that fit by at least this share of all cells.
+/// A homography is used only if it fits more cells than the given transform, by at least this share of all cells.
 const LEAST_GAIN: f64 = 0.01;
 
-/// A homography that fits more of a picture than the present transform. All lengths are in pixels of the level.
+/// A homography that fits more of a picture than the given transform. All lengths are in pixels of the level.
 pub(super) struct Dominant {
     /// Reference pixel -> frame pixel.
     pub(super) h: Matrix3<f64>,
-    /// Expected root mean square error over the whole picture, including the parts without known cells.
+    /// Expected root mean square error over the whole picture, including the parts whose displacement is not known.
     pub(super) error: f64,
 }
 
-/// Returns the homography that fits most of `cells`, whose displacements are relative to the transform `h`; none if `h`
-/// fits nearly as many.
+/// Returns the homography that fits the largest number of `cells`; none if `h` fits nearly as many. The displacements
+/// of `cells` are from the positions that `h` gives.
 ///
-/// `size` is that of the level, `scale` the length of its pixels in pixels of the full size, and `overlap` the number
-/// of cells that each pixel counts in.
+/// `size` is that of the level in pixels, `scale` the length of its pixels in pixels of the full size, and `overlap`
+/// the number of cells that each pixel contributes to.
 pub(super) fn search(
     cells: &[Cell],
     h: &Matrix3<f64>,
@@ -92,17 +97,19 @@ pub(super) fn search(
 /// A cell as an observation of the motion.
 #[derive(Debug, Clone, Copy)]
 struct Observation {
-    /// Derivatives of the position by the parameters of the motion.
+    /// For each parameter of the motion, the derivatives (x, y) of the position by it.
     jacobian: [[f64; 2]; 8],
     displacement: [f64; 2],
-    /// Inverse of the covariance [xx, xy, yy] of the displacement, to which the square of the tolerance was added.
+    /// Inverse covariance [xx, xy, yy] of the displacement. The square of the tolerance was added to the covariance,
+    /// along both axes, before it was inverted.
     precision: [f64; 3],
 }
 
 impl Observation {
     fn new(cell: &Cell, basis: &Increment, tolerance: f64) -> Self {
         let [x, y] = cell.centre;
-        // The covariance is S^-1 + t^2 I; its inverse is (S + t^2 det(S) I) / (1 + t^2 tr(S) + t^4 det(S)).
+        // With the precision S of the cell and the tolerance t, the covariance is S^-1 + t^2 I. Its inverse is (S + t^2
+        // det(S) I) / (1 + t^2 tr(S) + t^4 det(S)).
         let [xx, xy, yy] = cell.precision;
         let (t2, det) = (tolerance * tolerance, (xx * yy - xy * xy).max(0.0));
         let below = 1.0 + t2 * (xx + yy) + t2 * t2 * det;
@@ -110,7 +117,7 @@ impl Observation {
         Observation { jacobian: basis.jacobian(x, y), displacement: cell.displacement, precision }
     }
 
-    /// The length of the residual displacement after the motion `step`, in standard deviations.
+    /// The length of the displacement that remains after the motion with the parameters `step`, in standard deviations.
     fn off(&self, step: &DVector<f64>) -> f64 {
         let [mut x, mut y] = self.displacement;
         for (s, j) in step.iter().zip(&self.jacobian) {
@@ -121,23 +128,23 @@ impl Observation {
     }
 }
 
-/// Returns the number of `observations` that differ from the motion `step` by less than a standard deviation. If their
-/// tolerance is [`FITS_PX`], these are the cells that fit.
+/// Returns the number of `observations` that differ from the motion with the parameters `step` by less than a standard
+/// deviation. If the tolerance of the observations is [`FITS_PX`], this is the number of cells that fit.
 fn fitting(observations: &[Observation], step: &DVector<f64>) -> usize {
     observations.iter().filter(|o| o.off(step) < 1.0).count()
 }
 
-/// The observations of sample `trial`.
+/// Returns the random sample of number `trial`: [`SAMPLE`] observations, always the same for the same number.
 fn drawn(all: &[Observation], trial: u64) -> Vec<Observation> {
     let index = |draw: usize| (random(0, trial, draw as u64) % all.len() as u64) as usize;
     (0..SAMPLE).map(|draw| all[index(draw)]).collect()
 }
 
-/// The least squares problem of the motion's parameters.
+/// The least squares problem whose unknowns are the parameters of the motion.
 struct Fit<'a> {
     basis: Increment,
     h: &'a Matrix3<f64>,
-    /// Ratio of the standard error to that of independent observations.
+    /// Actual standard error, divided by the one that would result if all observations were independent.
     factor: f64,
 }
 
@@ -147,7 +154,7 @@ impl Fit<'_> {
         cells.iter().map(|cell| Observation::new(cell, &self.basis, tolerance)).collect()
     }
 
-    /// Repeats [`Fit::solve`] with Tukey's weights.
+    /// Repeats [`Fit::solve`], each time with Tukey's weights for the residuals of the previous solution.
     fn settle(
         &self,
         observations: &[Observation],
@@ -162,10 +169,11 @@ impl Fit<'_> {
         Some(found)
     }
 
-    /// The motion with the least weighted residuals, and the matrix of its normal equations.
+    /// Returns the parameters of the motion with the least sum of weighted squared residuals, and the matrix of the
+    /// normal equations.
     ///
-    /// The prior is that of the transform after the motion `at`, and `factor` the ratio of the standard error to that
-    /// of independent observations.
+    /// The prior is linearised at the motion with the parameters `at`. `factor` is the actual standard error, divided
+    /// by that of independent observations.
     fn solve(
         &self,
         observations: &[Observation],
@@ -197,8 +205,8 @@ impl Fit<'_> {
                 a[(q, p)] = a[(p, q)];
             }
         }
-        // The prior depends on the change from `at`. For the motion from zero, its vector b is the one at `at` minus
-        // its matrix A times `at`.
+        // `add_prior` gives equations for the change from `at`. Here the unknown is the whole motion, so A times `at`
+        // is subtracted from the vector b.
         let (mut prior_a, mut prior_b) = (DMatrix::zeros(n, n), DVector::zeros(n));
         self.basis.add_prior(&(self.h * self.basis.matrix(at)), factor, &mut prior_a, &mut prior_b);
         b += prior_b - &prior_a * at;

@@ -1,12 +1,12 @@
-//! The local field: the displacements of the patches, smoothed where they agree with their neighbours.
+//! The local field: the displacements of the patches, each averaged with those of the neighbours that move alike.
 //!
 //! In: the [matches](super::matching) of the patches. Out: a [`LocalField`], and how much of the picture is displaced
 //! ([`Misfit`]). Cost: negligible. Source: weighted least squares over neighbouring patches, with Tukey's biweight.
 //!
-//! Each match is a paraboloid: its displacement, and how precisely each direction is known. The sum of the paraboloids
-//! of neighbours is that of a larger patch. The boundary of this patch adapts to the picture, because a neighbour that
-//! moves differently has no weight. The noise is the scatter of the matches about the field, so that a dark or noisy
-//! frame needs more evidence.
+//! Each match is described by a paraboloid: its peak is the displacement, and its curvature is the precision in each
+//! direction. The sum of the paraboloids of neighbouring patches describes a larger patch. Its boundary adapts to the
+//! picture, because a neighbour that moves differently has no weight. The noise is estimated from the scatter of the
+//! matches about the field. Therefore a displacement in a dark or noisy frame must be larger to be significant.
 
 use crate::align::agreement::{MOST_STILL, TileDisplacement};
 use crate::align::grey::measured_level;
@@ -19,57 +19,59 @@ use crate::align::transform::{Transform, map, off_level, on_level};
 use crate::statistics::{MEDIAN_SQUARE, TUKEY, biweight, median};
 use nalgebra::Matrix3;
 
-/// Number of rounds of reweighting.
+/// Number of rounds in which the weights of the matches are computed again.
 const ROUNDS: usize = 3;
-/// Root mean square displacement that interpolation and the parabola cause where nothing is displaced, in pixels of the
-/// level. Measured on rendered brackets of planar scenes.
+/// Root mean square of the displacements that are measured where nothing is displaced, in pixels of the level. Their
+/// cause is interpolation, and that the peak is approximated by a parabola. Measured on rendered brackets of planar
+/// scenes.
 const PEAK_BIAS: f64 = 0.03;
-/// A cell is known only if at least this share of the patches around it have a match.
+/// The displacement of a cell is known only if at least this share of the patches around it have a match.
 const LEAST_KNOWN: f64 = 0.25;
 /// The displacement of a cell is significant only if at least this share of the matches around it agree with each
 /// other.
 const LEAST_AGREEING: f64 = 0.5;
 /// With fewer known cells than this, the misfit is 0 and no dominant motion is searched.
 const LEAST_CELLS: usize = 16;
-/// A cell counts as displaced from this displacement on, in pixels of the full size. It is less than the 2 px that show
-/// as a double edge, because cells at edges of depth measure the mean of two displacements.
+/// A cell counts as displaced if its displacement is at least this, in pixels of the full size. A double edge is
+/// visible from 2 px on; the value is less, because a cell at an edge of depth measures the mean of two displacements.
 const DISPLACED_PX: f64 = 1.5;
 
-/// If a smaller share of the picture is displaced, the displaced cells do not count in the root mean square: they are
-/// more likely due to things that moved than to depth.
+/// If less than this share of the picture is displaced, the displaced cells do not count in the root mean square,
+/// because their cause is more likely a thing that moved than depth.
 const LEAST_DISPLACED: f64 = 0.01;
-/// A motion that fits more of the picture is searched only if the root mean square displacement is at least this, in
-/// pixels of the full size.
+/// The dominant motion is searched only if the root mean square displacement is at least this, in pixels of the full
+/// size.
 const LEAST_MISFIT_PX: f64 = 0.15;
 /// A cell is suspicious if it is displaced by at least this, in pixels of the full size.
 const SUSPICIOUS_PX: f64 = 1.0;
-/// If a larger share of the cells than this are suspicious or have no match, displacements are searched farther
+/// If more than this share of the cells are suspicious or have no match, displacements are searched farther
 /// ([`matching::far`]).
 const SUSPICIOUS: f64 = 0.01;
 
 /// The patches around a cell that are smoothed together.
 #[derive(Debug, Clone, Copy)]
 struct Neighbourhood {
-    /// Number of patches to each side of the cell.
+    /// The number of patches to each side of the patch at the cell's centre.
     radius: usize,
-    /// Number of patches that each pixel is in; 0.5 if every second patch is matched.
+    /// The mean number of matched patches that contain a pixel: 0.5 if the patches do not overlap and every second one
+    /// is matched.
     overlap: f64,
 }
 
-/// The neighbourhoods of [`matching::near`] and [`matching::far`], both 48 pixels wide. Twigs and railings allow no
-/// narrower ones.
+/// The neighbourhoods of [`matching::near`] and [`matching::far`], both 48 pixels wide. Narrower ones would fail on
+/// twigs and railings.
 const NEAR: Neighbourhood = Neighbourhood { radius: 1, overlap: 0.5 };
 const FAR: Neighbourhood = Neighbourhood { radius: 2, overlap: 4.0 };
 
-/// The displacements of the cells of a picture from a transform.
+/// The displacements of the cells of a picture from the positions that a transform gives.
 #[derive(Debug, Clone)]
 pub(crate) struct LocalField {
-    /// The transform, in pixels of the level.
+    /// The transform from which the displacements are measured, in pixels of the level.
     h: Matrix3<f64>,
     /// The level on which the displacements were measured, and its size.
     level: usize,
     size: (usize, usize),
-    /// Number of cells that each pixel counts in.
+    /// Mean number of matched patches that contain a pixel; see [`Neighbourhood`].
     overlap: f64,
     /// The cells whose displacement is known.
     cells: Vec<Cell>,
@@ -80,18 +82,18 @@ pub(crate) struct LocalField {
 /// How much of a picture a transform does not fit. All lengths are in pixels of the full size.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct Misfit {
-    /// The parts that are displaced by at least [`DISPLACED_PX`].
+    /// The parts of the picture that are displaced by at least [`DISPLACED_PX`].
     pub(crate) displaced: Displaced,
-    /// The share of the displaced parts minus its standard error, 0..=1. The standard error is large if few cells are
-    /// known, as in a dark frame.
+    /// The share of the picture that is displaced, minus the standard error of this share, 0..=1. The standard error is
+    /// large if few cells are known, as in a dark frame.
     pub(crate) displaced_surely: f64,
-    /// Root mean square displacement of all known cells; without the displaced ones if their share is less than
-    /// [`LEAST_DISPLACED`].
+    /// Root mean square displacement of all known cells. If the share of the displaced cells is less than
+    /// [`LEAST_DISPLACED`], these count as 0.
     pub(crate) rms_px: f64,
 }
 
 impl LocalField {
-    /// The field of displacements from `transform`.
+    /// Measures the displacements of the frame from the positions that `transform` gives.
     pub(crate) fn new(pair: &FramePair, transform: &Transform) -> Self {
         let level = measured_level(pair.reference());
         let (width, height) = pair.size();
@@ -108,8 +110,9 @@ impl LocalField {
         LocalField { overlap: FAR.overlap, cells: smoothed(&far, FAR), still: far.still(), ..field }
     }
 
-    /// Returns this field relative to the transform of the [dominant motion](dominant), and the error estimate of that
-    /// transform in pixels of the full size; none if the present transform fits as much of the picture.
+    /// Returns this field with displacements from the [dominant motion](dominant) instead of the present transform, and
+    /// the error estimate of the dominant motion in pixels of the full size. None if the present transform fits nearly
+    /// as much of the picture.
     pub(crate) fn dominant(&self) -> Option<(Self, f64)> {
         if self.cells.len() < LEAST_CELLS || self.misfit().rms_px < LEAST_MISFIT_PX {
             return None;
@@ -125,7 +128,7 @@ impl LocalField {
         Some((LocalField { h: found.h, cells, ..*self }, self.scale() * found.error))
     }
 
-    /// Returns the transform that the displacements are relative to, in pixels of the full size.
+    /// Returns the transform from which the displacements are measured, in pixels of the full size.
     pub(crate) fn transform(&self) -> Transform {
         Transform::Homography(off_level(&self.h, self.level))
     }
@@ -141,15 +144,16 @@ impl LocalField {
         self.cells.iter().filter(|c| c.is_significant()).map(length)
     }
 
-    /// How much of the picture is displaced; nothing if too few cells are known.
+    /// Returns how much of the picture is displaced; zeros if fewer than [`LEAST_CELLS`] cells are known.
     pub(crate) fn misfit(&self) -> Misfit {
         if self.cells.len() < LEAST_CELLS {
             return Misfit::default();
         }
         let lengths: Vec<f64> = self.lengths_px().collect();
         let displaced: Vec<f64> = lengths.iter().copied().filter(|&px| px >= DISPLACED_PX).collect();
-        // Captions, watermarks, dust and noise of the sensor do not move with the scene and are ignored. If more of the
-        // picture than [`MOST_STILL`] stayed, the transform may be wrong, so this part counts as displaced.
+        // Captions, watermarks, dust and the fixed noise of the sensor stay at the same pixels when the camera moves.
+        // Such cells are ignored, unless their share exceeds [`MOST_STILL`]: then the transform may be wrong, so they
+        // count as displaced.
         let still =
             if self.still as f64 <= MOST_STILL * (self.cells.len() + self.still) as f64 { 0 } else { self.still };
         let all = (self.cells.len() + still) as f64;
@@ -166,7 +170,8 @@ impl LocalField {
     }
 }
 
-/// The sum of paraboloids: sharpness S and pull S d.
+/// The weighted sum of the paraboloids of several matches: their sharpness S (negative second derivatives), and their
+/// pull S d, with the displacement d.
 #[derive(Clone, Copy, Default)]
 struct Sum {
     sharpness: [f64; 3],
@@ -179,7 +184,8 @@ impl Sum {
         self.pull.iter_mut().zip(d.pull).for_each(|(s, v)| *s += weight * v);
     }
 
-    /// The displacement at the peak. Along an edge, where many displacements fit equally well, it is the shortest one.
+    /// The displacement at the peak of the sum. On a straight edge, many displacements fit equally well; the result is
+    /// the shortest of them.
     fn peak(&self) -> [f64; 2] {
         let [xx, xy, yy] = self.sharpness;
         let safe = 1e-3 * (xx + yy) + 1e-9;
@@ -190,8 +196,8 @@ impl Sum {
     }
 }
 
-/// Returns the cells, each with the weighted sum of the matches around it. The weight of a match depends on its
-/// distance from the sum around it, and is updated in each round.
+/// Returns the cells, each from the weighted sum of the matches around it. The weight of a match depends on its
+/// distance from the peak of the sum around the match itself. Sums and weights are computed alternately.
 fn smoothed(matches: &Matches, neighbourhood: Neighbourhood) -> Vec<Cell> {
     let Neighbourhood { radius, overlap } = neighbourhood;
     let known: Vec<Option<TileDisplacement>> = matches.all.iter().map(|m| m.and_then(|m| m.displacement())).collect();
@@ -236,11 +242,12 @@ fn smoothed(matches: &Matches, neighbourhood: Neighbourhood) -> Vec<Cell> {
     known.iter().enumerate().filter_map(cell).collect()
 }
 
-/// The residual r^T S^-1 r of a match from the displacement `d`, where r = S (own displacement - d).
+/// The squared distance r^T S^-1 r of a match from the displacement `d`, where S is the sharpness of the match and r =
+/// S (displacement of the match - d).
 fn misfit(own: &TileDisplacement, d: [f64; 2]) -> f64 {
     let [xx, xy, yy] = own.sharpness;
     let left = [own.pull[0] - xx * d[0] - xy * d[1], own.pull[1] - xy * d[0] - yy * d[1]];
-    // S is regularised, because along an edge both r and S vanish.
+    // S is regularised, because both r and S are zero in the direction along an edge.
     let safe = 0.02 * (xx + yy) + 1e-9;
     let (xx, yy) = (xx + safe, yy + safe);
     (yy * left[0] * left[0] - 2.0 * xy * left[0] * left[1] + xx * left[1] * left[1]) / (xx * yy - xy * xy)

@@ -1,9 +1,9 @@
 //! Block matching from coarse to fine: the displacement of small patches from the position that a transform gives.
 //!
 //! In: a [`FramePair`] and a transform. Out: a [`Match`] for each patch of the level on which agreement is measured.
-//! Cost: nine correlations for a patch whose position is right, about forty for another. Source: candidates from the
-//! neighbours on the coarser level as in Hasinoff et al., "Burst Photography", SIGGRAPH Asia 2016, section 4;
-//! normalised cross-correlation (Lewis 1995).
+//! Cost: nine correlations for a patch that is not displaced, about forty for a displaced one. Source: the search
+//! starts from the displacements of the neighbours on the coarser level, as in Hasinoff et al., "Burst Photography",
+//! SIGGRAPH Asia 2016, section 4; normalised cross-correlation (Lewis 1995).
 
 use crate::align::agreement::TileDisplacement;
 use crate::align::agreement::pattern::{Pattern, Peak, Shift, Warped};
@@ -14,19 +14,19 @@ use nalgebra::Matrix3;
 use rayon::prelude::*;
 use std::sync::OnceLock;
 
-/// Side of a patch, in pixels of its level: 32 in a photograph of 1 megapixel.
+/// Side of a patch, in pixels of its level; 32 pixels of the full size in a photograph of 1 megapixel.
 const SIDE: usize = 16;
-/// Distances between neighbouring patches, in pixels of the level: of [`near`] and of [`far`]. The patches of [`far`]
+/// Distances between neighbouring patches, in pixels of the level: (in [`near`], in [`far`]). The patches of [`far`]
 /// overlap by half.
 const STEPS: (usize, usize) = (SIDE, SIDE / 2);
-/// Largest displacement that is searched, as a share of the long side: depth displaces near objects by up to 2 %, and
-/// the error of the transform may add to that.
+/// Largest displacement that is searched, as a share of the long side. Depth displaces near objects by up to 2 %; the
+/// rest is for the error of the transform.
 const MOST_DISPLACEMENT: f64 = 0.03;
-/// Largest displacement that is found without candidates from a coarser level, in pixels: by [`near`], and by [`far`]
-/// on its coarsest level.
+/// Largest displacement that is searched without starting points from a coarser level: by [`near`], and by [`far`] on
+/// its coarsest level; in pixels of the level.
 const COARSEST_REACH: isize = 3;
-/// If the correlation of a patch is at least this at the position that the transform gives, and lower around it, no
-/// other position is searched.
+/// If the correlation of a patch is at least this at the position that the transform gives, and lower at the eight
+/// positions around it, no other position is searched.
 const ENOUGH_CORRELATION: f32 = 0.9;
 /// A patch matches only where its correlation is at least this.
 const LEAST_CORRELATION: f32 = 0.5;
@@ -34,14 +34,14 @@ const LEAST_CORRELATION: f32 = 0.5;
 /// The best match of a patch.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Match {
-    /// The shift of the patch, in whole pixels of the level.
+    /// The shift of the patch from the position that the transform gives, in whole pixels of the level.
     shift: Shift,
     /// What the match shows of the motion.
     pub(super) found: Found,
 }
 
 impl Match {
-    /// Its displacement, if it moves with the scene.
+    /// The displacement of the patch; none if it stayed at the same pixels or matches nowhere.
     pub(super) fn displacement(&self) -> Option<TileDisplacement> {
         match self.found {
             Found::Displacement(displacement) => Some(displacement),
@@ -53,12 +53,12 @@ impl Match {
 /// What the best match of a patch shows.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Found {
-    /// Its displacement from the position that the transform gives.
+    /// The patch is displaced by this from the position that the transform gives; the displacement may be zero.
     Displacement(TileDisplacement),
-    /// It stayed at the same pixels, although the transform predicts a displacement: it belongs to the camera or to a
-    /// caption, not to the scene.
+    /// The patch stayed at the same pixels, although the transform moves it: it shows dust of the camera or a caption,
+    /// not the scene.
     Still,
-    /// It matches nowhere.
+    /// The patch matches nowhere.
     Nothing,
 }
 
@@ -66,14 +66,15 @@ pub(super) enum Found {
 pub(super) struct Matches {
     pub(super) columns: usize,
     pub(super) rows: usize,
-    /// Distance of the patches, in pixels.
+    /// Distance between neighbouring patches, in pixels of the level.
     step: usize,
-    /// By rows; none where a patch is left out, has too little contrast, or is outside the frame.
+    /// The matches of all patches, row by row. None where the patch is left out of the chessboard, has too little
+    /// contrast, or is outside the frame.
     pub(super) all: Vec<Option<Match>>,
 }
 
-/// Matches every second patch of the level on which agreement is measured, as on a chessboard, near the position that
-/// `h` gives, which is in pixels of that level.
+/// Matches every second patch (the fields of one colour of a chessboard) of the level on which agreement is measured,
+/// near the position that `h` gives. `h` is in pixels of that level.
 pub(super) fn near(pair: &FramePair, h: &Matrix3<f64>) -> Matches {
     let level = measured_level(pair.reference());
     let grid = Grid { level, step: STEPS.0, reach: COARSEST_REACH as usize, is_chessboard: true };
@@ -81,7 +82,7 @@ pub(super) fn near(pair: &FramePair, h: &Matrix3<f64>) -> Matches {
 }
 
 /// Matches all patches of the level on which agreement is measured, up to [`MOST_DISPLACEMENT`] from the position that
-/// `h` gives, which is in pixels of that level.
+/// `h` gives. `h` is in pixels of that level.
 pub(super) fn far(pair: &FramePair, h: &Matrix3<f64>) -> Matches {
     let (width, height) = pair.size();
     let measured = measured_level(pair.reference());
@@ -98,14 +99,14 @@ pub(super) fn far(pair: &FramePair, h: &Matrix3<f64>) -> Matches {
     found
 }
 
-/// The patches of a level. All lengths are in its pixels.
+/// The patches of a level that are to be matched. All lengths are in pixels of the level.
 struct Grid {
     level: usize,
     /// Distance between neighbouring patches.
     step: usize,
-    /// Largest shift at which a patch is compared.
+    /// Largest shift that is searched, along each axis.
     reach: usize,
-    /// Whether every second patch is left out, as on a chessboard.
+    /// Whether only every second patch is matched: the fields of one colour of a chessboard.
     is_chessboard: bool,
 }
 
@@ -119,7 +120,8 @@ impl Matches {
         [i % self.columns, i / self.columns].map(|at| (at * self.step) as f64 + (SIDE as f64 - 1.0) / 2.0)
     }
 
-    /// The matches of `grid`, searched from (0, 0), from those of the next coarser level, and from `starts`.
+    /// Returns the matches of the patches of `grid`, a level that is finer by one than that of `self`. The search
+    /// starts from (0, 0), from the shifts in `self`, and from `starts`.
     fn finer(&self, pair: &FramePair, h: &Matrix3<f64>, grid: Grid, starts: &[Shift]) -> Self {
         let Grid { level, step, reach, is_chessboard } = grid;
         let both = pair.level(level);
@@ -165,7 +167,7 @@ impl Matches {
         Matches { columns, rows, step, all }
     }
 
-    /// Number of patches with contrast that match nowhere.
+    /// Returns the number of patches with enough contrast that match nowhere.
     pub(super) fn unmatched(&self) -> usize {
         self.all.iter().flatten().filter(|m| matches!(m.found, Found::Nothing)).count()
     }
@@ -175,7 +177,8 @@ impl Matches {
         self.all.iter().flatten().filter(|m| matches!(m.found, Found::Still)).count()
     }
 
-    /// The shifts of the patches around a patch of the next finer level, in pixels of that level.
+    /// For the patch at (`column`, `row`) of the next finer level, the shifts of the patches of this level around it,
+    /// in pixels of the finer level.
     fn candidates(&self, column: usize, row: usize) -> Vec<Shift> {
         let near = |at: usize, count: usize| (at / 2).saturating_sub(1)..(at / 2 + 2).min(count);
         let around = near(row, self.rows).flat_map(|y| near(column, self.columns).map(move |x| y * self.columns + x));
@@ -187,21 +190,23 @@ impl Matches {
     }
 }
 
-/// Whether a match with the correlation `other` is clearly better than the present one, which has the correlation
-/// `best`. A small lead is not enough, because a repeated pattern matches nearly as well at a wrong position.
+/// Whether a position with the correlation `other` matches clearly better than the present position, whose correlation
+/// is `best`. A slightly higher correlation is not enough, because a repeated pattern matches nearly as well at a wrong
+/// position.
 fn is_better(other: f32, best: f32) -> bool {
     let unexplained = |c: f32| 1.0 - c.max(0.0) * c.max(0.0) + UNEXPLAINED;
     other >= LEAST_CORRELATION && unexplained(other) < CLEARLY * unexplained(best)
 }
 
-/// Share of a patch's variance that noise leaves unexplained at its true position.
+/// The share of a patch's variance that remains unexplained at its true position, due to noise.
 const UNEXPLAINED: f32 = 0.05;
-/// A match is clearly better than another if its unexplained variance is less than this multiple of the other's.
+/// A position matches clearly better than another if its unexplained variance is less than this multiple of the
+/// other's.
 const CLEARLY: f32 = 0.8;
 /// A patch can be recognised as still only if the transform moves it by at least this, in pixels of the level.
 const LEAST_MOTION: f64 = 2.0;
 
-/// The correlations of a patch, each computed on first use.
+/// The correlations of a patch at all shifts, each computed on first use.
 struct Correlations<'a> {
     pattern: &'a Pattern,
     warped: &'a Warped,
@@ -209,7 +214,8 @@ struct Correlations<'a> {
 }
 
 impl Correlations<'_> {
-    /// The correlation at a shift; NaN beyond the margin and outside the frame.
+    /// Returns the correlation at a shift; NaN if the shift is larger than the grid's reach, or leads outside the
+    /// frame.
     fn at(&mut self, shift: Shift) -> f32 {
         let reach = self.warped.reach();
         if shift.0.abs() > reach || shift.1.abs() > reach {
@@ -242,7 +248,8 @@ impl Correlations<'_> {
         Some(best)
     }
 
-    /// Climbs from `start` to the next local maximum.
+    /// Climbs from the shift `start` to a local maximum of the correlation; returns the correlation and the shift
+    /// there.
     fn climb(&mut self, start: Shift) -> (f32, Shift) {
         let mut best = (self.at(start), start);
         loop {
@@ -260,7 +267,8 @@ impl Correlations<'_> {
     }
 }
 
-/// Shifts at [`COARSEST_REACH`], from which the search on the coarsest level starts.
+/// The shifts with a distance of [`COARSEST_REACH`] along one or both axes, from which the search on the coarsest level
+/// of [`far`] also starts.
 const RIM: [Shift; 8] = [(-3, -3), (0, -3), (3, -3), (-3, 0), (3, 0), (-3, 3), (0, 3), (3, 3)];
 /// The eight neighbours of a shift.
 const AROUND: [Shift; 8] = [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)];

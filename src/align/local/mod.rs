@@ -1,13 +1,14 @@
 //! Local displacements: the parts of a frame that a transform does not map to the right position.
 //!
 //! In: two frames and a transform. Out: the displacement of each cell of the picture from the position that the
-//! transform gives ([`LocalField`]), and the share of the picture that is displaced ([`Misfit`](field::Misfit)). Cost:
-//! each pixel of the level on which agreement is measured is in nine correlations, with three multiply-adds each; in
-//! some hundred where parts are displaced.
+//! transform gives ([`LocalField`]), and the share of the picture that is displaced ([`Misfit`](field::Misfit)). Cost,
+//! on the level on which agreement is measured: nine correlations for half of the pixels, with three multiply-adds per
+//! pixel and correlation. If more than a hundredth of the picture is displaced, some hundred correlations for every
+//! pixel in addition.
 //!
-//! The tiles of [`agreement`](crate::align::agreement) are large and searched within a few pixels, to find out whether
-//! a transform is right at all. Near objects, rolling shutter and moving things displace smaller parts of the picture,
-//! and by more pixels.
+//! The tiles of [`agreement`](crate::align::agreement) show whether a transform is right at all: they are large, and
+//! their displacement is searched within a few pixels only. Near objects, rolling shutter and moving things displace
+//! smaller parts of the picture, by more pixels. The patches of this module are smaller and searched farther.
 
 mod cell;
 mod dominant;

@@ -1,4 +1,4 @@
-//! Local displacements of scenes of which a part moves.
+//! Tests of local displacements, with scenes in which a part moves.
 
 use super::*;
 use crate::align::agreement::pattern::{Pattern, Warped};
@@ -11,7 +11,8 @@ use crate::plane::Plane;
 
 const SIZE: (usize, usize) = (640, 448);
 
-/// A scene of which the columns from `edge` on are `moved` pixels to the right in the frame.
+/// Returns a reference and a frame of a scene. In the frame, the columns from `edge` on are displaced by `moved` pixels
+/// to the right, in addition to the motion `truth` of the camera.
 fn pair_with_depth(edge: f64, moved: f64, noise: f64, truth: &Transform) -> (GreyPyramid, GreyPyramid) {
     let scene = Scene::new(57);
     let shot = |ev, seed| Shot { noise, seed, ..Shot::at(ev) };
@@ -30,8 +31,8 @@ fn share_and_displacement_of_a_near_object_are_measured() {
     let truth = rigid(3.0, -2.0, 0.4);
     for moved in [4.0, 12.0] {
         let found = misfit(480.0, moved, 1.5, &truth);
-        // A quarter of the picture moves; patches within 24 of the 640 pixels of the border between the moving and the
-        // still part may count as either.
+        // A quarter of the picture moves. A patch within 24 of the 640 columns from the border between the moving and
+        // the still part may count as either, which explains the tolerance.
         assert!((found.displaced.fraction - 0.25).abs() < 0.06, "{moved}: {found:?}");
         assert!((found.displaced.px - moved).abs() < 0.3, "{moved}: {found:?}");
         let rms = moved * found.displaced.fraction.sqrt();
@@ -56,7 +57,7 @@ fn compromise_between_two_motions_is_replaced_by_the_motion_of_the_larger_part()
     let compromise = rigid(5.4, -2.0, 0.4);
     let field = LocalField::new(&FramePair::new(&reference, &frame, &compromise), &compromise);
     let (dominant, error_px) = field.dominant().unwrap();
-    // Patches at the edge between the two parts fit neither motion, which adds to the error.
+    // Patches at the edge between the two parts fit neither motion and increase the error.
     let off = distance(&dominant.transform(), &truth, SIZE.0, SIZE.1);
     assert!(off < 0.3 && error_px < 1.0, "{off} {error_px}");
     let (before, after) = (field.misfit().displaced.fraction, dominant.misfit().displaced.fraction);
@@ -82,7 +83,7 @@ fn caption_that_does_not_move_with_the_scene_is_not_displaced() {
     let (reference, frame) = (labelled(reference.level(0)), labelled(frame.level(0)));
     let found = LocalField::new(&FramePair::new(&reference, &frame, &truth), &truth).misfit();
     assert!(found.displaced.fraction < 0.03 && found.rms_px < 0.5, "{found:?}");
-    // Under the identity, which fits the caption, the scene is displaced.
+    // If the identity is given as the transform, it fits the caption, but most of the scene is displaced.
     let unmoved = LocalField::new(&FramePair::new(&reference, &frame, &Transform::Identity), &Transform::Identity);
     assert!(unmoved.misfit().displaced.fraction > 0.7, "{:?}", unmoved.misfit());
 }
@@ -96,7 +97,7 @@ fn black_frame_has_no_misfit() {
     assert_eq!(LocalField::new(&pair, &Transform::Identity).misfit(), field::Misfit::default());
 }
 
-/// The oracle searches all shifts of the finest level.
+/// The expected shift of each patch comes from a search of all shifts within 20 px on the finest level.
 #[test]
 fn coarse_to_fine_finds_what_a_full_search_finds() {
     let (reference, frame) = pair_with_depth(320.0, 9.0, 1.5, &Transform::Identity);
@@ -107,7 +108,7 @@ fn coarse_to_fine_finds_what_a_full_search_finds() {
     let reach = 20;
     let warped = Warped::new(&both.frame, &h, SIZE, reach as usize);
     let (mut same, mut all) = (0, 0);
-    // Every seventh patch, away from the margins, where shifts lead outside the frame.
+    // Every seventh patch is compared, except near the borders, where shifts lead outside the frame.
     for i in (0..found.all.len()).step_by(7) {
         let (x, y) = (i % found.columns * 8, i / found.columns * 8);
         let is_inner = x > 32 && y > 32 && x + 48 < SIZE.0 && y + 48 < SIZE.1;
@@ -121,11 +122,11 @@ fn coarse_to_fine_finds_what_a_full_search_finds() {
         let [xx, xy, yy] = displacement.sharpness;
         let expected = [xx * dx as f64 + xy * dy as f64, xy * dx as f64 + yy * dy as f64];
         all += 1;
-        // The pull is the sharpness times the displacement. This tolerance allows an error of a pixel in each
+        // The pull is the sharpness times the displacement. The limit corresponds to an error of one pixel in each
         // direction.
         let off = [displacement.pull[0] - expected[0], displacement.pull[1] - expected[1]];
         same += usize::from(off[0].abs() <= xx + xy.abs() && off[1].abs() <= yy + xy.abs());
     }
-    // Some patches at the edge between the two motions contain both.
+    // A twentieth may differ: some patches contain the edge between the two motions.
     assert!(all > 50 && same * 20 >= all * 19, "{same} of {all}");
 }

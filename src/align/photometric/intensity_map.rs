@@ -2,8 +2,8 @@
 //!
 //! In: pairs of grey values of two frames, roughly aligned. Out: a monotone [`IntensityMap`]. Cost: one pass over the
 //! pairs. Source: Grossberg & Nayar, "Determining the Camera Response from Images: What Is Knowable?", PAMI 25(11),
-//! 2003, section 5: two exposures of one scene have the same order of grey values, so the map follows from the two
-//! histograms, and small misalignments do not matter.
+//! 2003, section 5: in two exposures of one scene, the pixels have the same order of brightness. Therefore the map
+//! follows from the two histograms, and small misalignments do not matter.
 
 /// Number of entries of the map: one for each grey value of the first frame.
 const KNOTS: usize = 256;
@@ -28,8 +28,9 @@ impl IntensityMap {
             reference[usize::from(r)] += 1;
             frame[usize::from(f)] += 1;
         }
-        // The rank of a sample is its position in ascending order. Each value that occurs in the first frame is mapped
-        // to the second frame's value at the middle of the ranks of its samples.
+        // The samples of each frame are sorted; the rank of a sample is its position in this order. A value of the
+        // first frame is mapped to the value of the second frame at the same rank. If several samples have the value,
+        // the middle of their ranks is used.
         let mut values = vec![f32::NAN; KNOTS];
         let (mut rank, mut below, mut at) = (0.0f64, 0.0f64, 0);
         for (v, value) in values.iter_mut().enumerate() {
@@ -67,7 +68,8 @@ impl IntensityMap {
     }
 }
 
-/// Interpolates missing values (NaN); before the first known value and after the last one, that value is repeated.
+/// Replaces missing values (NaN) by interpolation between the known ones. Before the first known value, the first is
+/// repeated; after the last known value, the last.
 fn fill_gaps(values: &mut [f32]) {
     let known: Vec<usize> = (0..values.len()).filter(|&i| !values[i].is_nan()).collect();
     let (Some(&first), Some(&last)) = (known.first(), known.last()) else {
@@ -93,12 +95,13 @@ mod tests {
         let f = |v: f32| 255.0 * (v / 255.0).powf(0.6);
         let n = 20_000;
         let reference: Vec<f32> = (0..n).map(|i| 20.0 + 200.0 * i as f32 / n as f32).collect();
-        // The frame's samples are those of a permutation of the reference's, as from other positions of the same scene.
+        // The pairs do not match: the frame's values come from the reference's values in another order, as if from
+        // other positions of the scene.
         let samples: Vec<(u8, u8)> =
             (0..n).map(|i| (reference[i].round() as u8, f(reference[i * 7919 % n]).round() as u8)).collect();
         let map = IntensityMap::from_samples(&samples);
         for v in [30.0f32, 77.3, 140.0, 210.0] {
-            // The grey values of both frames are rounded: an error of at most half a grey value each.
+            // Rounding causes an error of at most half a grey value in each of the two frames.
             assert!((map.at(v) - f(v)).abs() < 1.0, "{v}: {} {}", map.at(v), f(v));
             let slope = (f(v + 4.0) - f(v - 4.0)) / 8.0;
             assert!((map.slope(v) - slope).abs() < 0.15 * slope);

@@ -16,7 +16,7 @@ const CLIP_MARGIN: f32 = 5.0;
 /// Least grey value of the darker frame that is used: lower values are mostly noise.
 const DARKEST: f32 = 2.0;
 
-/// Grey values at a common exposure for each grey value of two frames.
+/// For each of two frames, a table that converts its grey values to the common exposure.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ToneTables {
     /// The value at the common exposure of each grey value of the reference.
@@ -32,8 +32,8 @@ impl ToneTables {
     /// tables follow from histograms.
     pub fn between(reference: &Plane<u8>, frame: &Plane<u8>, h: &Matrix3<f64>) -> Self {
         let mut samples = sample(reference, frame, h);
-        // The brighter frame is the one with the larger mean of the samples. A comparison of the tables would also
-        // count grey values that do not occur.
+        // The brighter frame is the one whose samples have the larger mean. (A comparison of the two tables instead
+        // would also count grey values that do not occur in the frames.)
         let is_frame_brighter = samples.iter().map(|&(r, f)| i64::from(f) - i64::from(r)).sum::<i64>() >= 0;
         if !is_frame_brighter {
             samples.iter_mut().for_each(|(r, f)| std::mem::swap(r, f));
@@ -46,8 +46,9 @@ impl ToneTables {
 
     /// Returns the weight of grey value `v` of the brighter frame, 0..=1.
     ///
-    /// It is 1 / (1 + m'^2), where m is the map from the darker frame to the brighter one: m' also scales the noise of
-    /// the darker frame. It is 0 near the ends of either frame's range.
+    /// It is 1 / (1 + m'^2), where m' is the slope of the map from the darker frame to the brighter one: the map also
+    /// multiplies the noise of the darker frame by m'. It is 0 where the brighter frame is nearly black or clipped, and
+    /// where the darker frame is nearly black.
     #[inline]
     pub fn weight(&self, v: f32) -> f32 {
         self.weights[usize::from(v as u8)]
@@ -110,8 +111,8 @@ mod tests {
                 }
             }
             assert!(3 * trusted > size.0 * size.1, "{trusted}");
-            // Rounding causes a mean error of 0.25 grey values in each frame, more where the darker one is brightened;
-            // smoothing removes most of this error.
+            // Rounding causes a mean error of 0.25 grey values in each frame, and more where the darker frame is
+            // brightened. Smoothing removes most of this error.
             assert!(apart / (trusted as f32) < 0.5, "{a} {b}: {}", apart / trusted as f32);
         }
         // Grey values clipped in the brighter frame or black in the darker one have weight 0.
@@ -121,8 +122,8 @@ mod tests {
 
     #[test]
     fn pair_without_highlights_maps_the_darker_to_the_brighter() {
-        // The darker frame has grey values up to 100. The brighter one has 1 EV more, and so values up to 100 x 2^(1 /
-        // 2.2) = 137.
+        // The darker frame has grey values up to 100. The brighter frame has 1 EV more, so its values reach 100 x 2^(1
+        // / 2.2) = 137.
         let gain = 2f64.powf(1.0 / 2.2);
         let ramp = |gain: f64| {
             Plane::from_rows(101, 40, |_, row: &mut [u8]| {

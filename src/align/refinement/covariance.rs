@@ -1,34 +1,35 @@
-//! The covariance of the parameters of a refinement, from the residuals themselves.
+//! The covariance of the parameters of a refinement, estimated from the residuals themselves.
 //!
-//! In: the points of a level with their residuals, the matrix A of the normal equations, and the prior. Out: the
-//! covariance. Cost: 8 multiply-adds per point. Source: the cluster-robust ("sandwich") covariance of Liang & Zeger,
-//! Biometrika 73(1), 1986, and its factor for few clusters, Cameron & Miller, Journal of Human Resources 50(2), 2015,
-//! section VI.
+//! In: the points of a level with their residuals, and the matrix A of the normal equations without and with the prior.
+//! Out: the covariance. Cost: 8 multiply-adds per point. Source: the cluster-robust ("sandwich") covariance of Liang &
+//! Zeger, Biometrika 73(1), 1986; for the factor that corrects it if there are few clusters, Cameron & Miller, Journal
+//! of Human Resources 50(2), 2015, section VI.
 //!
-//! The residuals of neighbouring points are not independent: smoothing, JPEG and aliasing correlate them, and where the
-//! tones, a lens or a thing that moved do not fit, they have the same sign. Let J^T g r w be the score of a point (J:
-//! Jacobian of its position, g: gradient, r: residual, w: weight); b, the right side of the normal equations, is the
-//! sum of all scores. The sum s of the scores of a block of the picture is taken as one observation, which adds s s^T
-//! to the variance of b.
+//! The residuals of neighbouring points are not independent. Smoothing, JPEG and aliasing correlate them. Where the
+//! model does not fit, because of the tones, the lens or a thing that moved, neighbouring residuals have the same sign.
+//! The score of a point is J^T g r w (J: Jacobian of its position by the parameters, g: gradient, r: residual, w:
+//! weight). The right side b of the normal equations is the sum of all scores. The picture is divided into blocks, and
+//! the sum s of the scores of a block counts as one observation: it adds s s^T to the variance of b.
 
 use crate::align::refinement::frame_pair::Point;
 use nalgebra::{DMatrix, DVector};
 
-/// Blocks along each side of the picture: few enough that residuals in different blocks are independent, and enough
-/// for a covariance of eight parameters.
+/// Number of blocks along each side of the picture. Blocks must be large, so that residuals in different blocks are
+/// independent, but numerous enough for the covariance of eight parameters.
 const BLOCKS: usize = 6;
 
-/// Derivative of Tukey's score by the residual, as a share of the weight by which it enters A: 0.758 / 0.915, the means
-/// of psi' = (1 - t^2) (1 - 5 t^2) and of w = (1 - t^2)^2 with t = r / 4.685 for normal residuals r. (Huber, Robust
-/// Statistics, 1981, section 7.6: the covariance of an M-estimate depends on psi', not on w.)
+/// A is computed with the weight w of Tukey's biweight, but the covariance of an M-estimate depends on psi', the
+/// derivative of psi(r) = w r by the residual r (Huber, Robust Statistics, 1981, section 7.6). This constant is mean
+/// psi' / mean w = 0.758 / 0.915 for normal residuals r, where w = (1 - t^2)^2 and psi' = (1 - t^2) (1 - 5 t^2) with t
+/// = r / 4.685.
 const CURVATURE: f64 = 0.83;
 
-/// The points of a refinement step.
+/// The points of a refinement step, with the factors of their scores.
 pub(super) struct Scores<'a> {
     pub(super) points: &'a [Point],
     /// J^T g of each point.
     pub(super) rows: &'a [[f64; 8]],
-    /// Frame minus reference; NaN outside the frame.
+    /// Frame minus reference at each point; NaN outside the frame.
     pub(super) residuals: &'a [f32],
     /// The weight w of each point.
     pub(super) weights: &'a [f32],
@@ -39,10 +40,11 @@ pub(super) struct Scores<'a> {
 impl Scores<'_> {
     /// Returns the covariance of the parameters; none where it is not determined.
     ///
-    /// `data` is A of the points alone, `whole` is A with the prior P, which counts `factor`^2 times
-    /// ([`add_prior`](crate::align::transform::Increment::add_prior)). With the covariance S of the scores and the
-    /// derivative D of the scores, which is [`CURVATURE`] A + P, the result is D^-1 (S + A + `factor`^2 P) D^-1. A is
-    /// the variance of independent noise, a lower bound where few blocks have detail.
+    /// `data` is the matrix A of the points alone. `whole` is A + P, where P is the prior, multiplied by `factor`^2
+    /// (see [`add_prior`](crate::align::transform::Increment::add_prior)). Let S be the covariance of the block scores,
+    /// and D = [`CURVATURE`] A + P the derivative of the scores by the parameters. The result is D^-1 (S + A +
+    /// `factor`^2 P) D^-1. A is the variance of independent noise. It is added so that the result is not too small if
+    /// few blocks have detail.
     pub(super) fn covariance(&self, data: &DMatrix<f64>, whole: &DMatrix<f64>, factor: f64) -> Option<DMatrix<f64>> {
         let prior = whole - data;
         let inverse = (data * CURVATURE + &prior).cholesky()?.inverse();
@@ -50,8 +52,8 @@ impl Scores<'_> {
         Some(&inverse * variance * &inverse)
     }
 
-    /// The sum, over the blocks, of the squares of their scores, times B / (B - n) for B blocks and `n` parameters:
-    /// the parameters were fitted to these residuals.
+    /// Returns the sum of s s^T over the blocks, where s is the score of a block, times B / (B - n) for B blocks and
+    /// `n` parameters. The factor is needed because the parameters were fitted to the same residuals.
     fn blocks(&self, n: usize) -> DMatrix<f64> {
         let (width, height) = self.size;
         let mut scores: Vec<Option<DVector<f64>>> = vec![None; BLOCKS * BLOCKS];
@@ -77,8 +79,8 @@ mod tests {
     use super::*;
     use crate::statistics::random;
 
-    /// The ratio of the covariance of two parameters to that of independent noise, where `alike` points in a row share
-    /// their derivatives and their residual.
+    /// Computes the covariance of two parameters for points of which each `alike` successive ones have the same
+    /// derivatives and the same residual. Returns it divided by the covariance for independent noise.
     fn excess(alike: usize) -> f64 {
         const SIDE: usize = 120;
         let uniform = |i: usize, draw: u64| random(draw, i as u64, 0) as f64 / u64::MAX as f64 - 0.5;
@@ -106,8 +108,10 @@ mod tests {
 
     #[test]
     fn correlated_residuals_add_as_much_variance_as_they_cause() {
-        // The variance of independent noise counts in addition. The square sums of 36 blocks for two parameters have a
-        // standard error of sqrt(2 / 72) = 17 % of the first part, which the curvature increases to 24 %.
+        // The expected variance has two parts: `alike` times that of independent noise, from the blocks, and once that
+        // of independent noise, which is always added. Both are divided by the square of the curvature. The part from
+        // the blocks is a sum of 72 squares (36 blocks, two parameters), so its standard error is sqrt(2 / 72) = 17 %
+        // of `alike`; the curvature increases this to 24 %. The limit of 70 % is almost three standard errors.
         for alike in [1, 4, 10] {
             let expected = (alike as f64 + 1.0) / (CURVATURE * CURVATURE);
             assert!((excess(alike) - expected).abs() < 0.7 * alike as f64, "{alike}: {} for {expected}", excess(alike));

@@ -1,9 +1,9 @@
 //! The finest level of a large image, read only near the points that are compared.
 //!
 //! In: a [`FramePair`], and its points on the level on which agreement is measured. Out: for each of these points a
-//! nearby point of the finest level, and its residual under a transform. Cost: about 250 pixels per point (100 of the
-//! reference, 144 of the frame), however large the image is; within a refinement, a patch is read again only when its
-//! point leaves it.
+//! nearby point of the finest level, and its residual under a transform. Cost: about 250 pixels are read per point (100
+//! of the reference, 144 of the frame), however large the image is. Within a refinement, a new patch of the frame is
+//! read only when the point leaves the old one.
 
 use crate::align::grey::{finest_level, measured_level};
 use crate::align::refinement::frame_pair::Point;
@@ -15,8 +15,8 @@ use crate::simd::{Loops, vectorised};
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 
-/// Side of the smoothed patches of the reference, in pixels: four, among which a point is chosen, and a border of one
-/// for the gradients.
+/// Side of the smoothed patches of the reference, in pixels. The point is chosen among the inner 4 x 4 pixels; the
+/// border of one pixel is needed for their gradients.
 const CHOICE: usize = 6;
 
 /// Returns, for each point of the level on which agreement is measured, the nearby point of the finest level with the
@@ -28,7 +28,7 @@ pub(crate) fn points<'a>(pair: &'a FramePair) -> &'a [Point] {
         let finer = level_to_full(from - to);
         let chosen = pair.points(from).par_iter().filter_map(|p| {
             let (x, y) = map(&finer, p.x, p.y);
-            // (x, y) is between the four pixels in the middle of the patch.
+            // The patch is placed so that (x, y) is between its four middle pixels.
             let first = |v: f64| (v - 0.5 * (CHOICE as f64 - 1.0) + 0.5) as i32;
             let origin = [first(x), first(y)];
             let patch = vectorised(Around { plane, table: &tones.reference, origin })?;
@@ -60,7 +60,7 @@ impl Loops for Around<'_> {
 
 /// Computes frame minus reference at every point under `h`, on the finest level; NaN outside the frame.
 ///
-/// Where a point has left its patch of the frame, or has none yet, the patch is read and stored in `patches`.
+/// If a point has left its patch of the frame, or has none yet, a new patch is read and stored in `patches`.
 pub(crate) fn residuals(pair: &FramePair, patches: &mut Patches, h: &Matrix3<f64>, out: &mut [f32]) {
     let level = finest_level(pair.reference());
     let (plane, table) = (pair.frame().level(level), &pair.tones(level).frame);
@@ -72,7 +72,7 @@ pub(crate) fn residuals(pair: &FramePair, patches: &mut Patches, h: &Matrix3<f64
     });
 }
 
-/// Computes the residuals of some of the points; `origins`, `values` and `is_placed` have an element for each of them.
+/// Computes the residuals of some of the points; `origins`, `values` and `is_placed` have one element for each point.
 struct Piece<'a> {
     points: &'a [Point],
     h: &'a Matrix3<f64>,
@@ -106,7 +106,8 @@ impl Loops for Piece<'_> {
     }
 }
 
-/// Moves the patch so that (u, v) is in its middle, and returns the grey value at (u, v); none outside the frame.
+/// Places the patch so that (u, v) is in its middle, reads it unless it is already there, and returns the grey value at
+/// (u, v). None outside the frame.
 #[inline(always)]
 fn read_again(
     plane: &Plane<u8>,
@@ -114,7 +115,7 @@ fn read_again(
     (u, v): (f64, f64),
     (origin, patch, is_placed): (&mut Origin, &mut Patch<FRAME_PATCH>, &mut bool),
 ) -> Option<f32> {
-    // False for NaN.
+    // The comparisons are false for NaN.
     let within = |t: f64, n: usize| t >= 0.0 && t < n as f64;
     if !within(u, plane.width()) || !within(v, plane.height()) {
         return None;
@@ -131,7 +132,7 @@ fn read_again(
     patch.cubic(at, u, v)
 }
 
-/// Returns column and row of the inner pixel of `patch` with the largest weighted gradient.
+/// Returns column and row, within `patch`, of the inner pixel with the largest weighted gradient; none if all are 0.
 fn best_of(patch: &Patch<CHOICE>, weight: impl Fn(f32) -> f32) -> Option<(usize, usize)> {
     let v = &patch.0;
     let (mut best, mut at) = (0.0, None);
@@ -158,7 +159,7 @@ mod tests {
     use crate::align::scene::{Scene, Shot, rigid};
     use crate::align::transform::Transform;
 
-    /// Large enough that the finest level is larger than the level on which agreement is measured.
+    /// This size is large enough that the finest level is larger than the level on which agreement is measured.
     const SIZE: (usize, usize) = (1000, 700);
 
     fn pair() -> (GreyPyramid, GreyPyramid, Transform) {
@@ -178,12 +179,13 @@ mod tests {
         let mut out = vec![0.0; points.len()];
         assert!(points.len() > 3000, "{}", points.len());
         for p in points {
-            // Both are the same sum of values below 256, in another order.
+            // Both values are the same sum, computed in another order: the tolerance is for rounding values below 256.
             assert!((p.value - whole.reference.at(p.x as usize, p.y as usize)).abs() < 1e-3);
         }
         let h = truth.matrix(SIZE.0, SIZE.1);
-        // First with new patches, then with existing ones, then with patches that must be read again; at last in
-        // another refinement, whose result must not depend on the existing patches.
+        // The residuals are computed four times: with new patches, with existing patches, with patches that must be
+        // read again because the transform moved, and in another refinement, whose result must not depend on the
+        // existing patches.
         let away = rigid(8.3, 5.5, -0.4).matrix(SIZE.0, SIZE.1);
         for (h, is_another) in [(h, false), (h, false), (away, false), (h, true)] {
             if is_another {
@@ -199,7 +201,7 @@ mod tests {
             for (p, r) in points.iter().zip(&out) {
                 let (u, v) = map(&h, p.x, p.y);
                 if let (false, Some(f)) = (r.is_nan(), cubic::cubic(&whole.frame, u, v)) {
-                    // Both are the same sum in another order.
+                    // Both values are the same sum, computed in another order.
                     assert!((f - p.value - r).abs() < 1e-3);
                     compared += 1;
                 }

@@ -1,8 +1,8 @@
 //! A pair of frames for refinement: both at a common exposure on every level, and the points to compare.
 //!
-//! In: the grey pyramids of a reference and a frame, and an approximate transform. Out: both frames, and the points, on
-//! each requested level; each is computed once. Cost: that of [`CommonExposure`], and one pass over the reference for
-//! the points.
+//! In: the grey pyramids of a reference and a frame, and an approximate transform. Out: for each requested level, both
+//! frames and the points; they are computed on first use and kept. Cost: that of [`CommonExposure`], and one pass over
+//! the reference for the points.
 
 use crate::align::grey::{GreyPyramid, measured_level};
 use crate::align::photometric::{CommonExposure, ToneTables};
@@ -12,11 +12,11 @@ use crate::align::transform::{Transform, on_level};
 use nalgebra::Matrix3;
 use std::sync::{Mutex, OnceLock, PoisonError};
 
-/// Approximate numbers of cells of a level, each of which gives one point: on [`measured_level`] and finer levels, and
-/// on coarser levels.
+/// Approximate number of cells into which a level is divided; each cell gives at most one point. (On [`measured_level`]
+/// and finer levels, on coarser levels.)
 const CELLS: (f64, f64) = (16_000.0, 4_000.0);
-/// Standard deviation of the position of an edge, in pixels, that interpolation, aliasing and the blur of one frame
-/// cause.
+/// Standard deviation of the apparent position of an edge, in pixels. Its causes are interpolation, aliasing, and blur
+/// in only one of the frames.
 const JITTER: f32 = 0.15;
 
 /// A pixel of the reference that is compared with the frame.
@@ -30,13 +30,14 @@ pub struct Point {
     pub value: f32,
     /// Gradient, in grey values per pixel.
     pub gradient: [f32; 2],
-    /// 1 / standard deviation of the residual; the noise of the brighter frame alone counts as a deviation of 1. The
-    /// deviation has two causes: the noise of both frames, and, at strong gradients, aliasing and blur.
+    /// 1 / standard deviation of the residual. The deviation has two causes: the noise of both frames, and, at strong
+    /// gradients, aliasing and blur. Its unit is the deviation that the noise of the brighter frame alone causes.
     pub precision: f32,
 }
 
 impl Point {
-    /// The point at (x, y) with grey value `value`, whose neighbours are `left`, `right`, `up` and `down`.
+    /// The point at (x, y) with grey value `value`; the grey values of its neighbours are `left`, `right`, `up` and
+    /// `down`.
     pub(crate) fn new(
         (x, y): (usize, usize),
         value: f32,
@@ -55,7 +56,7 @@ impl Point {
 pub struct FramePair<'a> {
     reference: &'a GreyPyramid,
     frame: &'a GreyPyramid,
-    /// The approximate transform, in pixels of the full size.
+    /// The approximate transform (reference -> frame), in pixels of the full size.
     start: Matrix3<f64>,
     tones: Vec<OnceLock<ToneTables>>,
     levels: Vec<OnceLock<CommonExposure>>,
@@ -98,22 +99,24 @@ impl<'a> FramePair<'a> {
 
     /// Returns the tables that convert both frames to a common exposure on level `i`.
     ///
-    /// Each level has its own tables: noise raises the mean of black pixels, and every halving reduces the noise.
+    /// Each level has its own tables, because noise raises the mean grey value of black pixels, and a coarser level has
+    /// less noise.
     pub fn tones(&self, i: usize) -> &ToneTables {
         self.tones[i].get_or_init(|| {
             ToneTables::between(self.reference.level(i), self.frame.level(i), &on_level(&self.start, i))
         })
     }
 
-    /// Returns the points of [`finest_level`](crate::align::grey::finest_level); the first call computes them with
+    /// Returns the points on [`finest_level`](crate::align::grey::finest_level), which the first call computes with
     /// `choose`.
     pub(crate) fn fine_points(&self, choose: impl FnOnce() -> Vec<Point>) -> &[Point] {
         self.fine_points.get_or_init(choose)
     }
 
-    /// Returns the patches of the frame from the previous refinement; in the first refinement, the result of `unread`.
+    /// Returns the patches of the frame that the previous refinement kept; if there are none, the result of `unread`.
     ///
-    /// The positions of the [`fine_points`](Self::fine_points) change little, so most patches can be reused.
+    /// The positions in the frame of the [`fine_points`](Self::fine_points) change little from one refinement to the
+    /// next, so most patches can be reused.
     pub(crate) fn patches(&self, unread: impl FnOnce() -> Patches) -> Patches {
         self.patches.lock().unwrap_or_else(PoisonError::into_inner).take().map_or_else(unread, Patches::reset)
     }
@@ -128,7 +131,7 @@ impl<'a> FramePair<'a> {
         self.reference.size(0)
     }
 
-    /// Both frames at a common exposure on level `i`.
+    /// Returns both frames at a common exposure on level `i`.
     pub fn level(&self, i: usize) -> &CommonExposure {
         self.levels[i].get_or_init(|| CommonExposure::new(self.reference.level(i), self.frame.level(i), self.tones(i)))
     }
@@ -167,8 +170,8 @@ fn choose_points(both: &CommonExposure, cell: usize) -> Vec<Point> {
             }
             for (slot, (i, cell_squares)) in best.iter_mut().zip(squares.chunks(cell).enumerate()) {
                 for (k, &square) in cell_squares.iter().enumerate() {
-                    // The weight is at most 1, so a pixel whose square is not larger than the best strength needs no
-                    // table look-up.
+                    // The weight is at most 1. Therefore, if the squared gradient is not larger than the best strength
+                    // so far, the weight need not be looked up.
                     if square > slot.0 {
                         let x = BORDER + i * cell + k;
                         let strength = square * tones.weight(row[x]);

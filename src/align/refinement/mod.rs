@@ -1,9 +1,10 @@
 //! Refinement: iterative photometric alignment, from an error of about a pixel down to the noise limit.
 //!
 //! In: a [`FramePair`] and an approximate transform. Out: the transform of a given model with the least photometric
-//! error, and an error estimate. Cost: two planes at a common exposure for each level down to [`measured_level`], then
-//! about 16,000 patches of the finest level; 0.1 us for each point and step. Source: Baker & Matthews, "Lucas-Kanade 20
-//! Years On", IJCV 56(3), 2004, section 3.1 (compositional updates). Residuals are weighted by Tukey's biweight.
+//! error, and an error estimate. Cost: both frames are converted to a common exposure on each level down to
+//! [`measured_level`]; on the finest level, only about 16,000 patches are converted. In addition, 0.1 us for each point
+//! and step. Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 3.1 (compositional
+//! updates). In addition, the residuals are weighted by Tukey's biweight.
 
 mod covariance;
 mod fine_level;
@@ -27,16 +28,16 @@ use rayon::prelude::*;
 
 /// Largest number of steps on each level.
 const MOST_STEPS: usize = 12;
-/// The iteration on a level ends with a step that moves all corners by less than this, in pixels of the level: (on the
-/// last level, on the others).
+/// The iteration on a level ends after a step that moves every corner by less than this, in pixels of the level: (on
+/// the last level, on the other levels).
 const STILL: (f64, f64) = (0.005, 0.05);
-/// Least number of points for a solution.
+/// With fewer points than this, nothing is solved.
 const LEAST_POINTS: usize = 50;
-/// Ratio of the actual error to the error that noise would cause if it were independent in every pixel, for the weight
-/// of the prior. In fact the noise of neighbouring pixels is correlated, by smoothing, JPEG and aliasing. Measured on
-/// rendered brackets. (The error estimate does not need it: see `covariance`.)
+/// The actual error, divided by the error that would result if the noise of all pixels were independent. In fact,
+/// smoothing, JPEG and aliasing correlate the noise of neighbouring pixels. Used to weight the prior against the
+/// pixels. Measured on rendered brackets. (The error estimate does not depend on this value: see `covariance`.)
 const NOISE_FACTOR: f64 = 4.0;
-/// Number of points that a thread processes together.
+/// Number of points that a thread processes at a time.
 const PIECE: usize = 1024;
 
 /// A refined transform and its error estimate. All lengths are in pixels of level 0.
@@ -44,16 +45,17 @@ const PIECE: usize = 1024;
 pub struct Refined {
     /// The transform (reference pixel -> frame pixel), of the requested model.
     pub transform: Transform,
-    /// Estimated error due to noise and to what the model does not fit, root mean square over the image, in pixels.
+    /// Estimated error, root mean square over the image, in pixels. Its causes are noise, and parts of the image that
+    /// the model does not fit.
     pub error_px: f64,
 }
 
 /// Refines `start` as a transform of `model`, level by level from `levels.0` (coarsest) to `levels.1` (0 is the largest
 /// level).
 ///
-/// Levels with a smaller index (more pixels) than [`measured_level`] are skipped, with one exception: if `levels.1` is
-/// smaller than [`measured_level`], the last step is on [`finest_level`], in patches. Returns none if the overlap has
-/// too little structure, or if the steps diverge.
+/// Levels with more pixels than [`measured_level`] are skipped, with one exception: if level `levels.1` has more
+/// pixels, the last stage is on [`finest_level`], where only patches around the points are read. Returns none if the
+/// common area of the frames has too little structure, or if the steps diverge.
 pub fn refine(pair: &FramePair, start: &Transform, model: Model, levels: (usize, usize)) -> Option<Refined> {
     let (coarsest, finest) = levels;
     let (width, height) = pair.size();
@@ -81,7 +83,8 @@ pub fn refine(pair: &FramePair, start: &Transform, model: Model, levels: (usize,
     Some(Refined { transform: to_transform(&state, model, width, height), error_px: last? })
 }
 
-/// Computes the residuals (frame minus reference) of some points, from the frame's smoothed plane of the whole level.
+/// Computes the residuals (frame minus reference) of some points on a level whose smoothed frame is in memory as a
+/// whole.
 struct Residuals<'a> {
     points: &'a [Point],
     h: &'a Matrix3<f64>,
@@ -101,7 +104,7 @@ impl Loops for Residuals<'_> {
     }
 }
 
-/// A level: its points, its size, and whether it is the last one.
+/// The refinement on one level: its points, its size, and whether it is the last level.
 struct Stage<'a> {
     points: &'a [Point],
     level: usize,
@@ -120,10 +123,11 @@ impl<'a> Stage<'a> {
         })
     }
 
-    /// Iterates Gauss-Newton steps with Tukey's weights until all corners move by less than `still`; returns the
-    /// transform and [`Refined::error_px`].
+    /// Iterates Gauss-Newton steps with Tukey's weights until every corner moves by less than [`STILL`]. Returns the
+    /// transform, and on the last level [`Refined::error_px`].
     ///
-    /// `residuals` computes frame minus reference at every point under a transform; NaN outside the frame.
+    /// `residuals` computes frame minus reference at every point under a given transform, NaN for points outside the
+    /// frame.
     fn solve(
         &self,
         h_full: Matrix3<f64>,
@@ -169,8 +173,8 @@ impl<'a> Stage<'a> {
     }
 }
 
-/// Returns the robust standard deviation of the weighted residuals: 1.4826 times the median absolute value, at least
-/// 0.5.
+/// Returns the robust standard deviation of the residuals, each multiplied by the precision of its point: 1.4826 times
+/// the median absolute value, at least 0.5.
 fn spread(points: &[Point], residuals: &[f32]) -> Option<f32> {
     let inside = points.iter().zip(residuals).filter(|(_, r)| !r.is_nan());
     let absolutes: Vec<f32> = inside.map(|(p, r)| (r * p.precision).abs()).collect();

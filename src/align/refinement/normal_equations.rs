@@ -1,10 +1,10 @@
 //! The normal equations of a refinement step.
 //!
-//! In: for each point the derivatives J^T g of its grey value by the parameters (J: Jacobian of its position, g:
-//! gradient), its residual r and its precision. Out: A = sum w J^T g g^T J and b = sum w J^T g r, with a robust weight
-//! w for each point. Cost: 44 multiply-adds per point for eight parameters. Source: Baker, Gross, Ishikawa & Matthews,
-//! "Lucas-Kanade 20 Years On: Part 2", CMU-RI-TR-03-01, 2003 (robust error functions, iteratively reweighted least
-//! squares); the weights are Tukey's biweight.
+//! In: for each point, its residual r, its precision, and the derivatives J^T g of its grey value by the parameters (J:
+//! Jacobian of the position by the parameters, g: gradient of the grey value). Out: the matrix A = sum w J^T g g^T J
+//! and the vector b = sum w J^T g r, with a robust weight w for each point. Cost: 44 multiply-adds per point for eight
+//! parameters. Source: Baker, Gross, Ishikawa & Matthews, "Lucas-Kanade 20 Years On: Part 2", CMU-RI-TR-03-01, 2003
+//! (robust error functions, iteratively reweighted least squares); the weights are Tukey's biweight.
 
 use crate::align::refinement::frame_pair::Point;
 use crate::simd::{Loops, vectorised};
@@ -16,8 +16,8 @@ const TUKEY: f32 = statistics::TUKEY as f32;
 
 /// Returns A and b for the first `n` parameters.
 ///
-/// `rows` has J^T g of each point, whose elements from `n` on are zero. `residuals` has frame minus reference of each
-/// point, NaN outside the frame, where its weight in `weights` is 0.
+/// `rows` has J^T g of each point, with zeros from element `n` on. `residuals` has frame minus reference at each point.
+/// Outside the frame it is NaN, and the point's weight in `weights` must be 0.
 pub(super) fn equations(
     n: usize,
     rows: &[[f64; 8]],
@@ -32,12 +32,13 @@ pub(super) fn equations(
     (DMatrix::from_fn(n, n, |i, k| a[i.min(k)][i.max(k)]), DVector::from_fn(n, |i, _| b[i]))
 }
 
-/// Computes the weight of every point, 0 where the residual is NaN; `noise` is the standard deviation of the residuals.
+/// Computes the weight w of every point, 0 where the residual is NaN. `noise` is the standard deviation of the
+/// residuals times the precisions.
 pub(super) fn weights(points: &[Point], residuals: &[f32], noise: f32, weights: &mut [f32]) {
     vectorised(Weights { points, residuals, noise, weights });
 }
 
-/// Computes the weight of every point; 0 where the residual is NaN.
+/// Does the work of [`weights`].
 struct Weights<'a> {
     points: &'a [Point],
     residuals: &'a [f32],
@@ -57,7 +58,7 @@ impl Loops for Weights<'_> {
     }
 }
 
-/// Returns Tukey's biweight of a residual `r` that is divided by its standard deviation; 0 for NaN.
+/// Returns Tukey's biweight for `r`, a residual divided by its standard deviation; 0 for NaN.
 #[inline(always)]
 fn tukey_weight(r: f32) -> f32 {
     let t = r / TUKEY;
@@ -66,8 +67,8 @@ fn tukey_weight(r: f32) -> f32 {
     inside * inside
 }
 
-/// Computes A and b for the first `N` parameters, as sums over the points in their order. Of A, only the upper triangle
-/// is complete.
+/// Computes A and b for the first `N` parameters. The sums over the points are in the order of the points. Only the
+/// upper triangle of A is complete.
 struct Sums<'a, const N: usize> {
     weights: &'a [f32],
     rows: &'a [[f64; 8]],

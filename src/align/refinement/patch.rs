@@ -1,28 +1,30 @@
-//! Patches: small smoothed parts of a level, computed without the rest of it.
+//! Patches: small smoothed parts of a level, computed without the rest of the level.
 //!
-//! In: a grey plane, a table of grey values and a position. Out: the smoothed values around it, and interpolation
-//! between them. Cost: 12 x 12 look-ups and 160 sums of five values for a patch of 8 x 8; sixteen multiply-adds to
-//! interpolate. Source: [`binomial`](crate::pyramid::binomial) for the smoothing; Keys 1981 (see
-//! [`cubic`](crate::align::resampling::cubic)).
+//! In: a grey plane, a table that converts its grey values, and a position. Out: the smoothed values around the
+//! position, and the value interpolated between them. Cost: 12 x 12 look-ups and 160 sums of five values for a patch of
+//! 8 x 8 pixels; sixteen multiply-adds for each interpolated value. Source: [`binomial`](crate::pyramid::binomial) for
+//! the smoothing; Keys 1981 (see [`cubic`](crate::align::resampling::cubic)).
 
 use crate::align::resampling::cubic::interpolate;
 use crate::plane::Plane;
 
-/// Number of pixels on each side of a pixel that the smoothing uses.
+/// To smooth a pixel, this number of pixels on each side of it are used.
 const REACH: usize = 2;
-/// Side of the frame's patches, in pixels: four for the interpolation, and two at each end, so that the point can move.
+/// Side of the frame's patches, in pixels: the interpolation needs four, and two more at each end let the point move
+/// without reading a new patch.
 pub(crate) const FRAME_PATCH: usize = 8;
 
 /// Column and row of the first pixel of a patch, in pixels of the level.
 pub(crate) type Origin = [i32; 2];
 
-/// Smoothed grey values, by rows. Aligned so that two rows of eight share a cache line.
+/// Smoothed grey values, row by row. The alignment makes two rows of eight values share a cache line.
 #[derive(Debug, Clone, Copy)]
 #[repr(align(64))]
 pub(crate) struct Patch<const N: usize>(pub(crate) [[f32; N]; N]);
 
 impl<const N: usize> Patch<N> {
-    /// Whether the patch that begins at (`left`, `top`) is inside `plane`, with all pixels that its smoothing uses.
+    /// Whether the patch whose first pixel is (`left`, `top`) is inside `plane`, with all pixels that its smoothing
+    /// uses.
     #[inline(always)]
     pub(crate) fn fits(plane: &Plane<u8>, [left, top]: Origin) -> bool {
         let (reach, far) = (REACH as i64, (N + REACH) as i64);
@@ -30,8 +32,8 @@ impl<const N: usize> Patch<N> {
         left >= reach && top >= reach && left + far <= plane.width() as i64 && top + far <= plane.height() as i64
     }
 
-    /// Computes the patch of `plane` that begins at (`left`, `top`) and [fits](Self::fits): the pixels' values in
-    /// `table`, smoothed as in the whole level.
+    /// Computes the patch of `plane` whose first pixel is (`left`, `top`): converts the grey values by `table` and
+    /// smooths them as in the whole level. The patch must [fit](Self::fits).
     #[inline(always)]
     pub(crate) fn read(plane: &Plane<u8>, table: &[f32; 256], [left, top]: Origin) -> Self {
         let (left, top) = (left as usize, top as usize);
@@ -59,8 +61,8 @@ impl<const N: usize> Patch<N> {
 }
 
 impl Patch<FRAME_PATCH> {
-    /// Returns the value at (u, v), in pixels of the level, by cubic convolution; none if the patch lacks one of the
-    /// sixteen samples.
+    /// Interpolates at (u, v), in pixels of the level, by cubic convolution. Returns none if the patch lacks one of the
+    /// sixteen samples. `[left, top]` is the first pixel of the patch.
     #[inline(always)]
     pub(crate) fn cubic(&self, [left, top]: Origin, u: f64, v: f64) -> Option<f32> {
         let (u, v) = (u - f64::from(left), v - f64::from(top));
@@ -77,8 +79,8 @@ impl Patch<FRAME_PATCH> {
 
 /// Patches of the frame, one for each point.
 ///
-/// They are kept between refinements, so that a patch at the same position is read only once. This saves time and does
-/// not change the result.
+/// The patches are kept from one refinement of a pair to the next, so that a patch at the same position need not be
+/// read again. This saves time and does not change the result.
 #[derive(Debug)]
 pub(crate) struct Patches {
     pub(crate) origins: Vec<Origin>,

@@ -30,10 +30,10 @@ fn apart(a: &Transform, b: &Transform) -> f64 {
 
 #[test]
 fn finds_each_model_from_pixels_away() {
-    // About 25,000 points have gradients of about 10 grey values per pixel, and noise of 1.5 grey values, or 3 where
-    // the darker frame is brightened. Smoothing correlates the noise of 13 neighbouring pixels, so the points count as
-    // 25,000 / 13. Therefore the error of a shift is 3 / 10 / sqrt(25,000 / 13) = 0.007 px; the error of a homography
-    // at the corners is five times as large.
+    // The tolerances follow from the expected errors. About 25,000 points have gradients of about 10 grey values per
+    // pixel. Their noise is 1.5 grey values, or 3 where the darker frame is brightened. Smoothing correlates the noise
+    // of 13 neighbouring pixels, so the points count as 25,000 / 13 independent ones. Therefore the error of a shift is
+    // 3 / 10 / sqrt(25,000 / 13) = 0.007 px; the error of a homography at the corners is five times as large.
     for (truth, start, model, tolerance) in [
         (shift(5.3, -2.6), shift(2.9, -0.1), Model::Shift, 0.02),
         (rigid(-3.4, 6.2, 0.8), rigid(-1.0, 4.0, 0.5), Model::Rigid, 0.03),
@@ -59,9 +59,9 @@ fn a_result_has_the_form_of_its_model() {
 
 #[test]
 fn edges_of_clipped_areas_do_not_affect_alignment() {
-    // A sawtooth that rises within 6 px and falls over 40 px. In the frame with three stops more, which clips, the
-    // bright part of every tooth extends to the left by some pixels. If clipping were ignored, all edges would be
-    // shifted in this direction.
+    // The scene is a sawtooth that rises within 6 px and falls within 40 px. In the frame with three stops more, the
+    // peaks are clipped, so that the bright part of every tooth extends to the left by some pixels. If clipping were
+    // ignored, all steep edges would seem to be shifted in this direction.
     let teeth = |x: f64, y: f64| {
         let t = (x + 6.0 * (y / 17.0).sin()).rem_euclid(46.0);
         let rise = if t < 6.0 { 0.5 - 0.5 * (t / 6.0 * std::f64::consts::PI).cos() } else { (46.0 - t) / 40.0 };
@@ -74,8 +74,8 @@ fn edges_of_clipped_areas_do_not_affect_alignment() {
         let clipped = [&reference, &frame].map(|p| p.level(0).as_slice().iter().filter(|&&v| v == 255).count());
         assert!(clipped.iter().max().unwrap() * 10 > SIZE.0 * SIZE.1, "{clipped:?}");
         let found = found(&reference, &frame, &shift(0.0, 0.0), Model::Shift, 1).unwrap();
-        // Twice the tolerance of a shift in `finds_each_model_from_pixels_away`; a bias by clipping would be tenths of
-        // a pixel.
+        // The limit is twice the tolerance of a shift in `finds_each_model_from_pixels_away`. An error caused by
+        // clipping would be tenths of a pixel.
         assert!(apart(&found.transform, &truth) < 0.04, "{a} {b}: {found:?}");
     }
 }
@@ -92,8 +92,8 @@ fn moving_object_does_not_affect_the_refinement() {
     let reference = taken(&Transform::Identity, Shot::at(-1.0));
     let frame = GreyPyramid::new(photograph(SIZE, &truth, Shot::at(1.0), with_mover));
     let found = found(&reference, &frame, &shift(0.5, 0.0), Model::Rigid, 2).unwrap();
-    // Least squares would have an error of about a fifth (0.45 x 0.45) of the 9 px. With Tukey's weights, only those
-    // pixels of the moved part count that match by chance.
+    // Plain least squares would have an error of about a fifth (0.45 x 0.45) of the 9 px. With Tukey's weights, pixels
+    // of the moved part have no weight unless they match by chance.
     assert!(apart(&found.transform, &truth) < 0.05, "{found:?}");
 }
 
@@ -121,9 +121,9 @@ fn the_error_it_states_is_of_the_right_order() {
         actual += (dx - 0.7).powi(2) + (dy - 0.4).powi(2);
         stated += found.error_px * found.error_px;
     }
-    // With 20 pairs of photographs, each with an error in two directions, the ratio has a standard error of
-    // 1 / sqrt(2 x 40) = 11 %. The stated error, from 36 blocks, has about the same. The limits are more than two
-    // standard errors of both together (2 x 16 %) from 1.
+    // 20 pairs of photographs, each with an error in two directions, give 40 errors, so their root mean square has a
+    // standard error of 1 / sqrt(2 x 40) = 11 %. The stated error, estimated from 36 blocks, has about the same
+    // standard error. Together they have 16 %, and the limits are more than twice this from 1.
     let ratio = f64::sqrt(actual / stated);
     assert!((0.67..1.4).contains(&ratio), "{ratio}: {} against {}", (actual / 20.0).sqrt(), (stated / 20.0f64).sqrt());
 }

@@ -1,7 +1,8 @@
-//! Bilinear resampling of a grey image to the grid of another.
+//! Bilinear resampling of a grey image to the pixel grid of another image.
 //!
 //! In: a grey plane and a [`Transform`] into it. Out: rows of the grid, one at a time, so that they need not all be in
-//! memory. Cost: two divisions and four reads per pixel. Beyond the border the border pixel is repeated.
+//! memory. Cost: two divisions and four reads per pixel. Beyond the border of the image, its border pixels are
+//! repeated.
 
 use crate::align::transform::{Transform, map};
 use crate::plane::Plane;
@@ -83,14 +84,14 @@ impl Loops for Row<'_, '_> {
             }
             for (i, out) in out.iter_mut().enumerate() {
                 let mix = |pair: [u8; 2]| f32::from(pair[0]) * (1.0 - fx[i]) + f32::from(pair[1]) * fx[i];
-                // The value is less than 256, so it fits.
+                // The value is less than 256, so it fits into `u8`.
                 *out = (mix(upper[i]) * (1.0 - fy[i]) + mix(lower[i]) * fy[i] + 0.5) as i32 as u8;
             }
         }
     }
 }
 
-/// `v` clamped to 0..=`most`, without `clamp`'s check of its bounds.
+/// Clamps `v` to 0..=`most`, without the check of the bounds that `clamp` makes.
 #[inline(always)]
 fn within(v: f64, most: f64) -> f64 {
     let v = if v < 0.0 { 0.0 } else { v };
@@ -111,7 +112,7 @@ mod tests {
     fn rows_side_by_side_are_the_textbooks_pixels() {
         for size in [(203, 90), (64, 3), (2, 2), (1, 40), (40, 1), (1, 1)] {
             let grey = Scene::new(2).photograph(size, &Transform::Identity, Shot::at(0.0));
-            // The transforms map to positions beyond every side, on the border, and NaN.
+            // These transforms map pixels beyond each side of the image, onto its border, and to NaN.
             let nowhere = Transform::Homography(Matrix3::from_element(f64::NAN));
             for transform in [
                 Transform::Identity,

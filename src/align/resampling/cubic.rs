@@ -5,7 +5,8 @@
 
 use crate::plane::Plane;
 
-/// Width of the border in which no points are chosen, in pixels: the reach of the derivative and of the interpolation.
+/// Width of the border in which the refinement chooses no points, in pixels: the reach of the derivative (1) plus that
+/// of the interpolation (2).
 pub(crate) const BORDER: usize = 3;
 
 /// Returns the value of `plane` at (u, v) by cubic convolution; none within [`BORDER`] - 1 pixels of the border.
@@ -24,8 +25,8 @@ pub(crate) fn cubic(plane: &Plane<f32>, u: f64, v: f64) -> Option<f32> {
     Some(interpolate(fraction, |j| &plane.row(y + j - 1)[x - 1..x + 3]))
 }
 
-/// Returns the value between 4 x 4 samples, whose rows are `row(0)` to `row(3)`, at the position `fraction` from the
-/// second sample in each direction.
+/// Interpolates between 4 x 4 samples, whose rows are `row(0)` to `row(3)`. The position is `fraction` (x, y) to the
+/// right of the second column and below the second row.
 #[inline(always)]
 pub(crate) fn interpolate<'a>(fraction: [f32; 2], row: impl Fn(usize) -> &'a [f32]) -> f32 {
     let [wx, wy] = fraction.map(keys);
@@ -37,8 +38,8 @@ pub(crate) fn interpolate<'a>(fraction: [f32; 2], row: impl Fn(usize) -> &'a [f3
     sum
 }
 
-/// Returns the weights of four samples for a position between the second and the third, `t` from the second (Keys 1981,
-/// a = -1/2).
+/// Returns the weights of four samples in a row. The position is between the second and the third sample, at the
+/// distance `t` (0..1) from the second (Keys 1981, a = -1/2).
 #[inline(always)]
 fn keys(t: f32) -> [f32; 4] {
     let (t2, t3) = (t * t, t * t * t);
@@ -59,7 +60,7 @@ mod tests {
             }
         });
         for (u, v) in [(5.0, 6.0), (7.25, 8.5), (12.9, 3.1)] {
-            // The tolerance covers sixteen roundings of values below 64.
+            // The tolerance is for the rounding of sixteen values below 64.
             assert!((f64::from(cubic(&plane, u, v).unwrap()) - f(u, v)).abs() < 1e-4, "{u} {v}");
         }
         assert_eq!(

@@ -1,9 +1,9 @@
 //! Resampling: the pixel values of a frame on the reference's grid, in one step.
 //!
 //! In: a [`Window`] of a frame and a [`Transform`]. Out: rows of pixel values as floats, [`OUTSIDE`] where the frame
-//! has no pixel. Cost: at most 42 multiply-adds per value, fewer if the transform is nearly a shift; a copy for the
-//! identity. Source: Turkowski, "Filters for Common Resampling Tasks", Graphics Gems I (1990), who recommends the
-//! Lanczos kernel (`lanczos`) for photographs.
+//! has no pixel. Cost: at most 42 multiply-adds per value, and fewer if the transform is nearly a shift; for the
+//! identity, values are only copied. Source: Turkowski, "Filters for Common Resampling Tasks", Graphics Gems I (1990),
+//! who recommends the Lanczos kernel (`lanczos`) for photographs.
 
 pub(crate) mod bilinear;
 pub(crate) mod cubic;
@@ -17,7 +17,7 @@ use crate::align::transform::{Transform, map};
 use crate::bracket::{Codes, Window};
 use std::ops::Range;
 
-/// Value of all three channels where the frame has no pixel.
+/// Value of all three channels of a resampled pixel where the frame has no pixel.
 pub const OUTSIDE: f32 = -1.0;
 
 /// Returns the rows of a frame of `size` pixels that are needed to resample the reference's pixels `columns` x `rows`.
@@ -37,25 +37,28 @@ pub fn rows_under(
     let corners = [columns.start, columns.end - 1].map(|x| [rows.start, rows.end - 1].map(|y| (x as f64, y as f64)));
     let corners = corners.as_flattened();
     let w = |&(x, y): &(f64, f64)| h[(2, 0)] * x + h[(2, 1)] * y + h[(2, 2)];
-    // A homography maps convex shapes to convex shapes unless its horizon crosses them.
+    // A homography maps a rectangle to a convex shape, whose extremes are its corners, unless the line that it maps to
+    // infinity crosses the rectangle.
     if !(corners.iter().all(|c| w(c) > 0.0) || corners.iter().all(|c| w(c) < 0.0)) {
         return 0..size.1;
     }
     let ends = corners.iter().map(|&(x, y)| map(&h, x, y).1);
     let (top, bottom) = ends.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
-    // Positions outside the frame are clamped. The taps of the kernel, and a row for rounding, are added at both ends.
+    // Positions outside the frame are clamped. At both ends, the rows under the kernel and one row for rounding errors
+    // are added.
     let last = (size.1 - 1) as f64;
     let (first, end) = (top.clamp(0.0, last) as usize, bottom.clamp(0.0, last) as usize + 1);
     first.saturating_sub(BEFORE + 1)..(end + TAPS - BEFORE + 1).min(size.1)
 }
 
-/// Resamples a frame at the reference's pixels `columns` x `rows`, by rows into `out`.
+/// Resamples a frame at the reference's pixels `columns` x `rows`, and writes them row by row into `out`.
 ///
 /// Values are 0..=255 for any bit depth. A pixel outside the rectangle of the frame's pixel centres is [`OUTSIDE`] in
 /// all channels.
 ///
 /// # Panics
-/// If `out` does not have `columns.len() * rows.len()` pixels, or `window` lacks some of the [`rows_under`] them.
+/// If `out` does not have `columns.len() * rows.len()` pixels, or if `window` lacks some of the rows that
+/// [`rows_under`] returns for them.
 pub fn resample_rows(
     window: &Window,
     transform: &Transform,

@@ -1,8 +1,8 @@
-//! Nearest-neighbour access to the aligned frames.
+//! Nearest-neighbour access to the pixels of aligned frames, without interpolation.
 //!
-//! In: a bracket and its alignment. Out: the pixel values of some rows of each aligned frame, and the index of the
-//! reference's pixels in them. Cost: a matrix product for each requested pixel. For uses that tolerate an error of half
-//! a pixel, such as uniform areas or statistics of many pixels; otherwise see
+//! In: a bracket and its alignment. Out: the pixel values of some rows of each aligned frame, and for a pixel of the
+//! reference, the index of the corresponding pixel in these rows. Cost: a matrix product for each requested pixel. Use
+//! this where an error of half a pixel does no harm, as in uniform areas or in statistics of many pixels; otherwise use
 //! [`resampling`](crate::align::resampling).
 
 use crate::align::resampling::rows_under;
@@ -20,7 +20,7 @@ pub struct Placed<'a> {
     /// The index of the frame in the bracket.
     pub index: usize,
     transform: Transform,
-    /// Reference pixel -> frame pixel; none for the identity.
+    /// The matrix of the transform, reference pixel -> frame pixel; none for the identity.
     matrix: Option<Matrix3<f64>>,
 }
 
@@ -57,8 +57,8 @@ impl Strip<'_> {
     /// Finds the square of the frame that corresponds to a square of the reference, and returns the index of its first
     /// value in the window.
     ///
-    /// The reference's square has `side` x `side` pixels, the top-left one at (x, y). None if the square is not
-    /// completely inside the frame.
+    /// The reference's square has `side` x `side` pixels; its top-left pixel is (x, y). Returns none if the
+    /// corresponding square is not completely inside the frame.
     pub fn start(&self, x: usize, y: usize, side: usize) -> Option<usize> {
         let (width, height) = (self.window.width(), self.window.height());
         let (x, y) = match &self.matrix {

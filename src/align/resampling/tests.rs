@@ -23,7 +23,7 @@ fn whole(frame: &Frame, transform: &Transform) -> Vec<[f32; 3]> {
     out
 }
 
-/// The double sum of the definition, without tables.
+/// Computes the resampled value as the double sum of the definition, without tables.
 fn textbook(frame: &Frame, u: f64, v: f64, channel: usize) -> f64 {
     let all = frame.whole().unwrap();
     let Codes::Sixteen(codes) = all.codes() else { unreachable!() };
@@ -58,7 +58,8 @@ fn agrees_with_the_textbook_sum() {
     }
 }
 
-/// Tiles, windows and shared sums must not change the result: a single pixel is summed in the same order.
+/// Tiles, windows and shared column sums must not change the result: the expected value of each pixel is computed for
+/// this pixel alone, as a sum in the same order.
 #[test]
 fn tiles_give_the_same_bits_as_pixels_by_themselves() {
     let f = frame(300, 90, |x, y| 128.0 + 127.0 * (1.3 * x).sin() * (0.9 * y + 0.1 * x).cos());
@@ -115,7 +116,8 @@ fn eight_and_sixteen_bit_frames_agree() {
     }
 }
 
-/// A window of the rows under a strip gives the same result as the whole frame, without access out of bounds.
+/// If the window has only the rows that `rows_under` returns for a strip of the reference, the result is the same as
+/// with the whole frame, without access out of bounds.
 #[test]
 fn the_rows_under_a_strip_are_enough() {
     let f = frame(60, 90, |x, y| 100.0 + 90.0 * (0.31 * x * y).sin());

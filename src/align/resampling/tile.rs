@@ -3,9 +3,10 @@
 //! In: the pixel values of some rows of a frame, and a transform. Out: pixel values as floats on the reference's grid.
 //! Cost: see [`resampling`](crate::align::resampling).
 //!
-//! The kernel is applied to columns first, then to rows. The part of the frame under a tile is converted to floats
-//! once, with the border repeated. Neighbouring pixels that lie between the same rows of the frame, at the same phase,
-//! share the sums of their columns.
+//! The kernel is applied vertically first: the sum over a column of six pixels is a column sum. Then it is applied
+//! horizontally to the column sums. The part of the frame under a tile is converted to floats once; beyond the border
+//! of the frame, the border pixels are repeated. Neighbouring pixels of the output share column sums if they lie
+//! between the same two rows of the frame, at the same fraction between them (the phase).
 
 use crate::align::resampling::OUTSIDE;
 use crate::align::resampling::lanczos::{BEFORE, TAPS, WEIGHTS, taps_at};
@@ -15,20 +16,21 @@ use nalgebra::Matrix3;
 use std::cell::RefCell;
 use std::ops::Range;
 
-/// Largest number of columns and rows of a tile: its data fits into the inner caches.
+/// Largest number of columns and of rows of a tile. With this size, the data of a tile fits into the inner caches.
 const TILE: (usize, usize) = (136, 36);
 
-/// Largest number of columns and rows of the frame under a tile. Transforms that scale by more than about 4/3 or rotate
-/// by more than about 20 degrees are computed pixel by pixel.
+/// Largest number of columns and of rows of the frame under a tile. Tiles that need more are computed pixel by pixel:
+/// those of transforms that scale by more than about 4/3, or rotate by more than about 20 degrees.
 const WINDOW: (usize, usize) = (192, 96);
 
 /// Number of values that are summed together in a vector.
 const LANES: usize = 8;
 
-/// Distance between successive rows of the window, in values: long enough to read whole vectors at every pixel.
+/// Distance between successive rows of the window, in values. It is longer than a row, so that a whole vector can be
+/// read at every pixel.
 const STRIDE: usize = 3 * WINDOW.0 + 2 * LANES;
 
-/// Number of column sums needed by one pixel, rounded up to whole vectors.
+/// Number of column sums (values of a column, weighted and added) that one pixel needs, rounded up to whole vectors.
 const SUMS: usize = (3 * TAPS).next_multiple_of(LANES);
 
 /// The pixel values of a frame, and their scale.
@@ -38,7 +40,7 @@ pub(super) struct Source<'a, T> {
     pub(super) first: usize,
     /// Size of the whole frame.
     pub(super) size: (usize, usize),
-    /// Factor from pixel values to 0..=255.
+    /// Factor that converts pixel values to 0..=255.
     pub(super) scale: f32,
 }
 
@@ -85,8 +87,8 @@ impl<T: Copy + Into<f32>> Source<'_, T> {
         &self.codes[from..from + 3 * self.size.0]
     }
 
-    /// Returns the value at (u, v), which must be within the rectangle of pixel centres; where the kernel reaches
-    /// beyond the border, the pixels of the border are repeated.
+    /// Returns the value at (u, v), which must be within the rectangle of pixel centres. Where the kernel reaches
+    /// beyond the border, the border pixels are repeated.
     #[inline(always)]
     pub(super) fn at(&self, u: f64, v: f64) -> [f32; 3] {
         let most = f64::from(i32::MAX);
@@ -110,7 +112,7 @@ impl<T: Copy + Into<f32>> Source<'_, T> {
     }
 }
 
-/// Splits `range` into the least number of nearly equal parts of at most `most`.
+/// Splits `range` into nearly equal parts of at most `most` elements; into as few as possible.
 fn parts(range: Range<usize>, most: usize) -> impl Iterator<Item = Range<usize>> {
     let (start, length) = (range.start, range.len());
     let count = length.div_ceil(most);
@@ -143,19 +145,19 @@ thread_local! {
 struct Scratch {
     /// The values of the frame under the tile.
     window: Vec<f32>,
-    /// The column sums of a row of the tile.
+    /// The column sums (the values of a column under the kernel, weighted and added) of a row of the tile.
     sums: Vec<f32>,
     values: Box<[[f32; 4]; TILE.0]>,
     positions: Box<SamplePositions>,
 }
 
-/// For each pixel of a row of the tile: its position in the window, and its column sums.
+/// For each pixel of a row of the tile: its position in the window, and where its column sums begin.
 struct SamplePositions {
     /// Index of the first of the window's columns under the kernel.
     left: [u32; TILE.0],
-    /// Phase between columns.
+    /// Phase between two columns, in units of 1/1024 pixel; see [`taps_at`].
     across: [u32; TILE.0],
-    /// Index of the first of the window's rows under the kernel, times 2^16, plus the phase between rows.
+    /// Index of the first of the window's rows under the kernel, times 2^16, plus the phase between two rows.
     down: [u32; TILE.0],
     /// 1 if the position is inside the frame, otherwise 0.
     is_inside: [u32; TILE.0],
@@ -175,7 +177,7 @@ impl Default for Scratch {
     }
 }
 
-/// A tile of the reference; `h` maps its pixels into the frame.
+/// A tile of the reference to be computed; `h` maps its pixels into the frame.
 struct Tile<'a, 'b, T> {
     source: &'a Source<'b, T>,
     h: &'a Matrix3<f64>,
@@ -218,7 +220,7 @@ impl<T: Copy + Into<f32>> Loops for Tile<'_, '_, T> {
                 for (y, line) in lines {
                     for (x, pixel) in self.columns.clone().zip(line) {
                         let (u, v) = map(self.h, x as f64, y as f64);
-                        // False for NaN.
+                        // The comparisons are false for NaN.
                         let is_inside = u >= 0.0 && v >= 0.0 && u <= last.0 && v <= last.1;
                         *pixel = if is_inside { self.source.at(u, v) } else { [OUTSIDE; 3] };
                     }
@@ -232,9 +234,9 @@ impl<T: Copy + Into<f32>> Loops for Tile<'_, '_, T> {
 enum Footprint {
     /// The tile is outside the frame.
     Outside,
-    /// These columns and rows, some of which may be beyond the border.
+    /// The columns and the rows of the frame that are needed; some may be beyond the border.
     Window(Range<i32>, Range<i32>),
-    /// Larger than a window, or unknown.
+    /// The part is larger than [`WINDOW`], or cannot be determined.
     TooLarge,
 }
 
@@ -243,7 +245,8 @@ fn footprint(h: &Matrix3<f64>, columns: &Range<usize>, rows: &Range<usize>, last
     let (mut us, mut vs) = ((f64::INFINITY, f64::NEG_INFINITY), (f64::INFINITY, f64::NEG_INFINITY));
     for x in [columns.start as f64, (columns.end - 1) as f64] {
         for y in [rows.start as f64, (rows.end - 1) as f64] {
-            // If all corners are on the same side of the horizon, the tile is within their bounding box.
+            // If all four corners are in front of the horizon (w > 0), the frame under the tile is within the bounding
+            // box of the mapped corners.
             let is_before = h[(2, 0)] * x + h[(2, 1)] * y + h[(2, 2)] > 0.0;
             let (u, v) = map(h, x, y);
             if !(is_before && u.is_finite() && v.is_finite()) {
@@ -270,7 +273,8 @@ fn footprint(h: &Matrix3<f64>, columns: &Range<usize>, rows: &Range<usize>, last
     }
 }
 
-/// Copies the frame's values at columns `across` and rows `down` to `window`; the border is repeated.
+/// Copies the frame's values at columns `across` and rows `down` to `window`; beyond the border, the border pixels are
+/// repeated.
 #[inline(always)]
 fn fill<T: Copy + Into<f32>>(source: &Source<T>, across: &Range<i32>, down: &Range<i32>, window: &mut [f32]) {
     let (width, height) = (source.size.0 as i32, source.size.1 as i32);
@@ -290,9 +294,9 @@ fn fill<T: Copy + Into<f32>>(source: &Source<T>, across: &Range<i32>, down: &Ran
 }
 
 impl SamplePositions {
-    /// Computes the positions of a row of pixels that begins at `first`.
+    /// Computes the positions of a row of pixels of the reference that begins at pixel `first`.
     ///
-    /// `origin` is the first pixel of the window, `last` the last pixel of the frame.
+    /// `origin` is the frame's pixel at which the window begins, `last` the last pixel of the frame.
     #[inline(always)]
     fn find<const AFFINE: bool>(
         &mut self,
@@ -308,7 +312,8 @@ impl SamplePositions {
         for i in 0..TILE.0 {
             let x = f64::from(start + i as i32);
             let (mut u, mut v) = (a * x + b + c, d * x + e + f);
-            // The divisor is 1 for affine transforms; the division would take as long as all the rest.
+            // For affine transforms, the divisor is 1, so the division is left out: it would take as long as all the
+            // rest.
             if !AFFINE {
                 let w = p * x + q + r;
                 (u, v) = (u / w, v / w);
@@ -322,14 +327,14 @@ impl SamplePositions {
         }
     }
 
-    /// Computes the column sums of the first `count` pixels.
+    /// Computes the column sums of the first `count` pixels of the row.
     #[inline(always)]
     fn sum(&mut self, window: &[f32], sums: &mut [f32], count: usize) {
         let (left, down, begins) = (&self.left[..count], &self.down[..count], &mut self.sums[..count]);
         let (mut next, mut free) = (0, 0);
         while next < count {
-            // Neighbours at most two columns apart share column sums, if they are between the same rows at the same
-            // phase.
+            // Neighbouring pixels at most two columns of the frame apart share column sums, if they are between the
+            // same rows at the same phase.
             let (row, first) = (down[next], left[next]);
             let mut at = first;
             while next < count && down[next] == row && left[next].wrapping_sub(at) <= 2 {
@@ -355,13 +360,14 @@ impl SamplePositions {
         }
     }
 
-    /// Computes each pixel of `line` from its column sums, multiplied by `scale`.
+    /// Computes each pixel of `line` from its column sums, and multiplies it by `scale`.
     #[inline(always)]
     fn across(&self, sums: &[f32], scale: f32, values: &mut [[f32; 4]; TILE.0], line: &mut [[f32; 3]]) {
         let count = line.len();
         let (begins, across) = (&self.sums[..count], &self.across[..count]);
         for (i, value) in values[..count].iter_mut().enumerate() {
-            // Four values fill a vector; the fourth belongs to the next column and is ignored.
+            // Four values, which fill a vector, are computed at once. The fourth belongs to the next column and is
+            // ignored.
             let sums = &sums[begins[i] as usize..begins[i] as usize + 3 * TAPS + 1];
             let mut sum = [0.0f32; 4];
             for (j, w) in WEIGHTS[across[i] as usize].iter().enumerate() {

@@ -19,7 +19,7 @@ use crate::bracket::{Bracket, Frame};
 pub struct KeypointCounts {
     /// Number of keypoints in the grey picture.
     pub plain: usize,
-    /// Number of keypoints in its median threshold bitmaps.
+    /// Number of keypoints in the median threshold bitmaps of the picture.
     pub mtb: usize,
     /// Number of keypoints in the grey picture or the bitmaps; a keypoint found in both is counted once.
     pub merged: usize,
@@ -28,9 +28,9 @@ pub struct KeypointCounts {
 /// Numbers of keypoints and inliers of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct FeatureCounts {
-    /// Inliers of the robust estimator; none where features were not needed.
+    /// Number of inliers of the robust estimator; none if features were not needed.
     pub inliers: Option<usize>,
-    /// Keypoints in this frame; none where features were not needed.
+    /// Numbers of keypoints in this frame; none if features were not needed.
     pub keypoints: Option<KeypointCounts>,
 }
 
@@ -39,7 +39,7 @@ pub struct FeatureCounts {
 pub struct Alignment {
     /// One placement per frame, in the order of [`Bracket::frames`].
     pub placements: Vec<Placement>,
-    /// Keypoints and inliers of each frame, in the same order; for information only.
+    /// Numbers of keypoints and inliers of each frame, in the same order. They are for information only.
     pub features: Vec<FeatureCounts>,
     /// The largest rectangle of the reference that all placed frames cover.
     pub overlap: Rect,

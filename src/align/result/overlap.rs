@@ -1,12 +1,12 @@
 //! The overlap: the largest rectangle of the reference that all aligned frames cover.
 //!
-//! In: transforms. Out: a [`Rect`], or none. Cost: some 15,000 evaluations of the frames' edges.
+//! In: transforms. Out: a [`Rect`], or none. Cost: the edges of all frames are evaluated some 15,000 times.
 //!
-//! A frame covers the intersection of the half-planes inside its four edges, which a homography keeps straight. For
-//! given left and right sides of the rectangle, the best upper and lower sides follow directly. The logarithm of the
-//! area is concave in the left and right sides, so that ternary search finds its only maximum. Where the height is
-//! negative, the logarithm is replaced by the height, which is concave too and leads the search back to positive
-//! heights. Vertical edges bound the search.
+//! A homography keeps the four edges of a frame straight, so the frame covers the intersection of four half-planes.
+//! Once the left and right sides of the rectangle are chosen, the best upper and lower sides follow directly. The
+//! logarithm of the area is a concave function of the left and right sides, so that ternary search finds its only
+//! maximum. If the height is negative, the search uses the height instead of the area. The height is concave, too, and
+//! leads the search back to positive heights. Vertical edges limit the range of columns that is searched.
 
 use crate::align::transform::Transform;
 use nalgebra::Vector3;
@@ -40,8 +40,9 @@ impl Rect {
 /// frames have no pixel in common.
 pub(crate) fn largest(transforms: &[Transform], width: usize, height: usize) -> Option<Rect> {
     let (right, bottom) = (width as f64 - 1.0, height as f64 - 1.0);
-    // n . (x, y, 1) >= 0 inside: u >= 0, v >= 0, u <= right, v <= bottom, each times the third coordinate, which is
-    // positive.
+    // Each edge of a frame is a vector n; a pixel (x, y) is on its inner side if n . (x, y, 1) >= 0. The four edges are
+    // u >= 0, v >= 0, u <= right and v <= bottom, where (u, v) is the frame's pixel; each is multiplied by the third
+    // homogeneous coordinate, which is positive.
     let (upright, sloping): (Vec<_>, Vec<_>) = transforms
         .iter()
         .filter(|w| **w != Transform::Identity)
@@ -66,7 +67,7 @@ pub(crate) fn largest(transforms: &[Transform], width: usize, height: usize) -> 
     (x0 <= x1 && y0 <= y1).then(|| Rect { x0: x0 as usize, y0: y0 as usize, x1: x1 as usize + 1, y1: y1 as usize + 1 })
 }
 
-/// Tolerance for rounding errors of integer positions, in pixels.
+/// Positions that are within this of an integer count as this integer, in pixels: they may have rounding errors.
 const WHOLE: f64 = 1e-6;
 
 fn inwards_up(v: f64) -> f64 {
@@ -77,8 +78,8 @@ fn inwards_down(v: f64) -> f64 {
     (v + WHOLE).floor()
 }
 
-/// The first and the last column, of those up to `right`, that are within all `upright` edges (n.y = 0); none where
-/// there is no such column.
+/// Returns the first and the last column within 0..=`right` that are on the inner side of all `upright` edges (n.y =
+/// 0); none if there is no such column.
 fn horizontal_span(upright: &[Vector3<f64>], right: f64) -> Option<(f64, f64)> {
     let (mut x0, mut x1) = (0.0f64, right);
     for n in upright {
@@ -93,11 +94,12 @@ fn horizontal_span(upright: &[Vector3<f64>], right: f64) -> Option<(f64, f64)> {
     (x0 <= x1).then_some((x0, x1))
 }
 
-/// The lowest and the highest row for which columns `x0` to `x1` are within all `sloping` edges (n.y != 0).
+/// Returns the first and the last row in which the columns `x0` to `x1` are on the inner side of all `sloping` edges
+/// (n.y != 0).
 fn vertical_span(sloping: &[Vector3<f64>], x0: f64, x1: f64, bottom: f64) -> (f64, f64) {
     let (mut y0, mut y1) = (0.0f64, bottom);
     for n in sloping {
-        // The corner that is nearest to the edge decides.
+        // The end of the row (`x0` or `x1`) that is nearer to the edge, or farther outside, decides.
         let across = (n.x * x0).min(n.x * x1) + n.z;
         if n.y > 0.0 {
             y0 = y0.max(-across / n.y);
@@ -108,7 +110,7 @@ fn vertical_span(sloping: &[Vector3<f64>], x0: f64, x1: f64, bottom: f64) -> (f6
     (y0, y1)
 }
 
-/// The position of the maximum of a unimodal function on `low..=high`.
+/// Returns the position of the maximum of a function that has only one on `low..=high`.
 fn top_of(f: impl Fn(f64) -> f64, mut low: f64, mut high: f64) -> f64 {
     for _ in 0..60 {
         let (a, b) = (low + (high - low) / 3.0, high - (high - low) / 3.0);
@@ -123,7 +125,7 @@ mod tests {
     use crate::align::transform::map;
     use nalgebra::Matrix3;
 
-    /// Every rectangle with sides on a coarse grid: the largest that is covered.
+    /// Tries every rectangle with sides on a grid of `step` pixels, and returns the largest area that all frames cover.
     fn by_trial(transforms: &[Transform], width: usize, height: usize, step: usize) -> usize {
         let covered = |x: usize, y: usize| {
             transforms.iter().all(|w| {
@@ -169,7 +171,7 @@ mod tests {
                     assert!(u >= -1e-5 && v >= -1e-5 && u <= 119.0 + 1e-5 && v <= 79.0 + 1e-5, "{rect:?}");
                 }
             }
-            // Rounding inwards costs up to a row and a column on each side.
+            // `largest` rounds inwards, so its result may lack up to a row or a column on each side.
             let trial = by_trial(&transforms, width, height, 2);
             assert!(rect.width() * rect.height() + 2 * (width + height) >= trial, "{rect:?} against {trial}");
         }
@@ -191,8 +193,8 @@ mod tests {
             (-99.0, 49.0, Rect { x0: 99, y0: 0, x1: 100, y1: 1 }),
         ] {
             assert_eq!(largest(&[Transform::Rigid { dx, dy, angle: 0.0 }], 100, 50), Some(rect), "{dx} {dy}");
-            // A shift that is 3 % smaller, with a slight rotation, leaves up to three columns and rows more, or up to
-            // one less on each side.
+            // A shift that is 3 % smaller, with a slight rotation, leaves an area with up to three columns and rows
+            // more, or up to one column or row less on each side.
             let turned = largest(&[Transform::Rigid { dx: 0.97 * dx, dy: 0.97 * dy, angle: 1e-3 }], 100, 50).unwrap();
             assert!(turned.width() <= rect.width() + 3 && turned.width() + 2 >= rect.width(), "{turned:?}");
             assert!(turned.height() <= rect.height() + 3 && turned.height() + 2 >= rect.height(), "{turned:?}");

@@ -1,7 +1,7 @@
 //! The placement of one frame: its transform, or why it is not merged.
 //!
-//! In: the transform of a method, of the user, or of a file of transforms. Out: [`Placement`], and its [`Status`] in
-//! reports and files. Cost: none.
+//! In: a transform that a method found, that the user set, or that was read from a file. Out: [`Placement`], and its
+//! [`Status`] in reports and files. Cost: none.
 
 use crate::align::transform::{Model, Transform};
 
@@ -12,14 +12,16 @@ pub enum Placement {
     Reference,
     /// Aligned by a transform; the identity if the frame did not move.
     Placed(Estimate),
-    /// Too dark or too bright to be aligned: its transform is inferred from the other frames. The frame is merged only
-    /// where all others clip, or are black. [`Estimate::error_px`] is a bound that holds for 19 of 20 such transforms.
+    /// The frame is too dark or too bright to be aligned; its transform is inferred from the other frames. The frame is
+    /// merged only where all other frames are clipped or black. [`Estimate::error_px`] is a bound that holds for 19 of
+    /// 20 such transforms.
     Assumed(Estimate),
-    /// Not merged.
+    /// The frame is not merged.
     Rejected {
-        /// Who or what rejected it.
+        /// Who or what rejected the frame.
         by: RejectedBy,
-        /// Confidence of the best transform that was found, 0..1; 1 where the user excluded the frame.
+        /// Confidence of the best transform that was found, 0..=1; 1 if the frame was excluded by the user or because
+        /// of the flash.
         confidence: f64,
         /// The reason, in words.
         reason: Option<String>,
@@ -31,26 +33,26 @@ pub enum Placement {
 pub struct Estimate {
     /// Reference pixel -> frame pixel.
     pub transform: Transform,
-    /// The smallest model that explains the motion. A transform read from a file is stored as a homography whatever its
-    /// model.
+    /// The smallest model that explains the motion. A transform that is read from a file is stored as a
+    /// [`Transform::Homography`] (unless it is the identity), even if its model is smaller.
     pub model: Model,
-    /// Estimate of the root mean square error of the transform over the picture, in pixels; none where it is unknown.
+    /// Estimate of the root mean square error of the transform over the picture, in pixels; none if it is unknown.
     pub error_px: Option<f64>,
-    /// Confidence, 0..1: below 0.5 is uncertain; 1 if the user set the transform.
+    /// Confidence, 0..=1: below 0.5, the transform is uncertain; 1 if the user set the transform.
     pub confidence: f64,
-    /// The parts of the picture that the transform does not fit; none where they were not measured.
+    /// The parts of the picture that the transform does not fit; none if they were not measured.
     pub displaced: Option<Displaced>,
     /// Why the frame is assumed to be unmoved, or what its transform is inferred from.
     pub reason: Option<String>,
 }
 
-/// The parts of the picture that a transform does not map to the right position: near objects seen by a camera that
+/// The parts of the picture that a transform does not map to the right position. They are near objects, if the camera
 /// moved sideways, or things that moved.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Displaced {
-    /// Their share of the parts that have detail and are not clipped, 0..=1.
+    /// The share of the displaced parts, 0..=1, among all parts that have detail and are not clipped.
     pub fraction: f64,
-    /// Their median displacement, in pixels; 0 if there are none.
+    /// Median displacement of the displaced parts, in pixels; 0 if there are none.
     pub px: f64,
 }
 
@@ -72,7 +74,7 @@ pub enum RejectedBy {
 pub enum Status {
     /// [`Placement::Reference`].
     Reference,
-    /// [`Placement::Placed`], moved.
+    /// [`Placement::Placed`] by a transform that is not the identity.
     Aligned,
     /// [`Placement::Placed`] by the identity.
     Unmoved,
@@ -80,17 +82,17 @@ pub enum Status {
     Assumed,
     /// Rejected by the alignment.
     Rejected,
-    /// Excluded by the user. Files of version 1 use one name for all rejected frames, and another key for who rejected
-    /// them ([`RejectedBy`]).
+    /// Excluded by the user. In files, it has the same name as [`Status::Rejected`]; the key `rejected_by` tells them
+    /// apart ([`RejectedBy`]).
     #[serde(rename = "rejected", skip_deserializing)]
     Excluded,
-    /// Excluded because the flash fired in this frame alone. In files it has the same name as [`Status::Rejected`].
+    /// Excluded because the flash fired in this frame alone. In files, it has the same name as [`Status::Rejected`].
     #[serde(rename = "rejected", skip_deserializing)]
     Flash,
 }
 
 impl Status {
-    /// Who rejected the frame; none where it is merged.
+    /// Who or what rejected the frame; none if the frame is merged.
     pub fn rejected_by(self) -> Option<RejectedBy> {
         match self {
             Status::Reference | Status::Aligned | Status::Unmoved | Status::Assumed => None,
@@ -131,7 +133,7 @@ impl Placement {
         }
     }
 
-    /// See [`Estimate::error_px`]; 0 for the reference.
+    /// See [`Estimate::error_px`]; 0 for the reference, none for a rejected frame.
     pub fn error_px(&self) -> Option<f64> {
         match self {
             Placement::Reference => Some(0.0),
@@ -140,7 +142,7 @@ impl Placement {
         }
     }
 
-    /// See [`Estimate::displaced`].
+    /// See [`Estimate::displaced`]; none for the reference and for rejected frames.
     pub fn displaced(&self) -> Option<Displaced> {
         match self {
             Placement::Placed(estimate) | Placement::Assumed(estimate) => estimate.displaced,
@@ -148,7 +150,7 @@ impl Placement {
         }
     }
 
-    /// Confidence, 0..1: below 0.5 is uncertain; 1 for the reference.
+    /// Confidence, 0..=1: below 0.5, the transform is uncertain; 1 for the reference.
     pub fn confidence(&self) -> f64 {
         match self {
             Placement::Reference => 1.0,

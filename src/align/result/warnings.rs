@@ -8,14 +8,15 @@ use crate::align::transform::Transform;
 use crate::bracket::Bracket;
 use crate::error::{Error, Result, Warning};
 
-/// Confidence below which a frame gets a warning.
+/// A frame with less confidence than this, 0..=1, gets a warning.
 const LOW_CONFIDENCE: f64 = 0.5;
-/// Overlap, as a share of the reference, below which there is a warning. Two frames at the largest shifts searched
-/// ([`MtbOptions::max_shift`](crate::align::bitmaps::MtbOptions::max_shift) in opposite directions along the long
-/// side) leave 0.7.
+/// There is a warning if the frames' common area is less than this share of the reference. For comparison: two frames
+/// with the largest shifts that the bitmap search tries by default
+/// ([`MtbOptions::max_shift`](crate::align::bitmaps::MtbOptions::max_shift), in opposite directions along the long
+/// side) leave a share of 0.7.
 const LEAST_OVERLAP: f64 = 0.5;
 
-/// The warnings of single frames.
+/// Returns the warnings about single frames.
 pub(crate) fn of_frames(bracket: &Bracket, placements: &[Placement]) -> Vec<Warning> {
     let unaligned = placements.iter().find_map(|placement| match placement {
         Placement::Placed(Estimate { transform: Transform::Identity, reason, .. }) => reason.clone(),
@@ -26,7 +27,7 @@ pub(crate) fn of_frames(bracket: &Bracket, placements: &[Placement]) -> Vec<Warn
     let is_still = placements.iter().filter_map(Placement::transform).all(|transform| transform == Transform::Identity);
     for (i, (frame, placement)) in bracket.frames().iter().zip(placements).enumerate() {
         let path = frame.path().to_path_buf();
-        // Merged in spite of the flash, because the user set its transform.
+        // The flash fired, but the frame is merged nevertheless, because its transform is preset.
         if frame.excluded.is_some() && placement.transform().is_some() {
             warnings.push(Warning::FlashFired { path: path.clone(), is_used: true });
         }
@@ -59,7 +60,7 @@ pub(crate) fn of_frames(bracket: &Bracket, placements: &[Placement]) -> Vec<Warn
     warnings
 }
 
-/// The largest rectangle of the reference that all placed frames cover, and a warning where it is small.
+/// Returns the largest rectangle of the reference that all placed frames cover, and a warning if it is small.
 pub(crate) fn common_overlap(bracket: &Bracket, placements: &[Placement]) -> Result<(Rect, Option<Warning>)> {
     let (width, height) = (bracket.width(), bracket.height());
     let placed: Vec<(usize, Transform)> =
@@ -67,7 +68,7 @@ pub(crate) fn common_overlap(bracket: &Bracket, placements: &[Placement]) -> Res
     let transforms: Vec<Transform> = placed.iter().map(|&(_, transform)| transform).collect();
     let common = overlap::largest(&transforms, width, height);
     let share = |rect: Rect| (rect.width() * rect.height()) as f64 / (width * height) as f64;
-    // The frame with the smallest overlap with the reference, and that overlap; the first of several.
+    // The frame that covers the smallest share of the reference (the first, if several do), and this share.
     let least = || {
         let shares =
             placed.iter().map(|&(i, transform)| (i, overlap::largest(&[transform], width, height).map_or(0.0, share)));

@@ -1,4 +1,4 @@
-//! Parameters of small changes of a transform, for which the refinement solves.
+//! Small changes of a transform, and their parameters, which are the unknowns of the refinement.
 //!
 //! In: a [`Model`] and the size of a plane. Out: the Jacobian of the transform by its parameters, the matrix for given
 //! parameters, the prior for a hand-held camera, and the error in pixels that follows from a covariance of the
@@ -10,10 +10,11 @@ use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Vector2};
 
 /// Prior standard deviation of the change of scale.
 ///
-/// The prior describes a hand-held camera: scale changes by some thousandths, there is almost no stretch or shear, and
-/// rotations out of the picture plane of some tenths of a degree cause perspective. A frame with detail everywhere
-/// determines scale, stretch, shear and perspective a hundred times as precisely as the prior. If only a strip of the
-/// frame has detail, the prior limits the parameters that the strip does not determine.
+/// The prior describes a hand-held camera. The scale changes by some thousandths, and there is almost no stretch or
+/// shear. Rotations out of the picture plane by some tenths of a degree cause perspective. If a frame has detail
+/// everywhere, its pixels determine scale, stretch, shear and perspective a hundred times as precisely as the prior,
+/// which then hardly counts. If only a strip of the frame has detail, the prior limits the parameters that the strip
+/// does not determine.
 const SCALE: f64 = 0.0025;
 /// Prior standard deviation of stretch and shear; see [`SCALE`].
 const STRETCH: f64 = 0.001;
@@ -22,7 +23,8 @@ const PERSPECTIVE: f64 = 0.005;
 
 /// The small motions that a model allows, and their parameters.
 ///
-/// Coordinates are relative to the centre, in units of half the diagonal, so that all parameters are of similar size.
+/// Coordinates are relative to the centre of the picture, in units of half the diagonal, so that all parameters are of
+/// similar size.
 pub(crate) struct Increment {
     model: Model,
     centre: (f64, f64),
@@ -30,8 +32,8 @@ pub(crate) struct Increment {
     size: (usize, usize),
 }
 
-/// A property of a transform that has a prior: its value, its prior standard deviation, and its derivatives, each with
-/// the index of the parameter.
+/// A property of a transform that has a prior: its value, its prior standard deviation, and its derivatives by the
+/// parameters, each as (index of the parameter, derivative).
 type Known = (f64, f64, &'static [(usize, f64)]);
 
 impl Increment {
@@ -51,7 +53,8 @@ impl Increment {
         }
     }
 
-    /// Returns the derivatives of the position by each parameter at (x, y), in pixels.
+    /// Returns the derivatives (x, y) of the position by each parameter, at the pixel (x, y). Parameters have no unit,
+    /// so the derivatives are in pixels.
     pub(crate) fn jacobian(&self, x: f64, y: f64) -> [[f64; 2]; 8] {
         let (x, y, u) = ((x - self.centre.0) / self.unit, (y - self.centre.1) / self.unit, self.unit);
         let mut j = [[0.0; 2]; 8];
@@ -75,23 +78,26 @@ impl Increment {
         j
     }
 
-    /// Returns J^T g at (x, y): the derivatives of the grey value by each parameter, where its gradient is `g`.
+    /// Returns J^T g at (x, y): the derivatives of the grey value by each parameter. J is the
+    /// [`jacobian`](Self::jacobian), and `g` the gradient of the grey value.
     pub(crate) fn row(&self, x: f64, y: f64, g: [f32; 2]) -> [f64; 8] {
         let (gx, gy) = (f64::from(g[0]), f64::from(g[1]));
         self.jacobian(x, y).map(|j| gx * j[0] + gy * j[1])
     }
 
-    /// Adds the prior to A and b: how far `h`, a matrix on pixels, is from a rigid transform (see [`SCALE`]).
+    /// Adds the prior to the matrix A and the vector b of the normal equations. The prior makes transforms near a rigid
+    /// one more likely (see [`SCALE`]). `h` is the present transform, a matrix on pixels.
     ///
-    /// A and b assume that the noise of the points is independent. If the actual error is `factor` times as large as
-    /// for independent noise, A and b are `factor`^2 times too large; the prior is then multiplied by `factor`^2, too.
+    /// A and b were computed as if the noise of the points were independent. If the actual error is `factor` times as
+    /// large, A and b are `factor`^2 times too large. Therefore the prior is multiplied by `factor`^2, too.
     pub(crate) fn add_prior(&self, h: &Matrix3<f64>, factor: f64, a: &mut DMatrix<f64>, b: &mut DVector<f64>) {
         if self.model != Model::Homography {
             return;
         }
         let n = self.to_units() * h * self.to_pixels();
         let n = n / n[(2, 2)];
-        // S = R(-phi) D, the derivative D at the centre without its rotation by phi, is near the identity.
+        // D is the derivative (2 x 2) of the transform at the centre, and phi its rotation. S = R(-phi) D is the
+        // derivative without the rotation. It is near the identity; its deviations are scale, stretch and shear.
         let derivative = |i: usize, k: usize| n[(i, k)] - n[(i, 2)] * n[(2, k)];
         let (xx, xy, yx, yy) = (derivative(0, 0), derivative(0, 1), derivative(1, 0), derivative(1, 1));
         let (sum, turn) = (xx + yy, yx - xy);
@@ -132,7 +138,7 @@ impl Increment {
         Matrix3::new(self.unit, 0.0, cx, 0.0, self.unit, cy, 0.0, 0.0, 1.0)
     }
 
-    /// Solves A d = -b; none where A is singular.
+    /// Solves A d = -b for the parameters d; none if A is singular.
     pub(crate) fn solve(&self, a: DMatrix<f64>, b: DVector<f64>) -> Option<DVector<f64>> {
         let step = -a.cholesky()?.solve(&b);
         step.iter().all(|v| v.is_finite()).then_some(step)
@@ -152,12 +158,13 @@ impl Increment {
         self.to_pixels() * m * self.to_units()
     }
 
-    /// Returns the largest displacement of a corner by the motion with the parameters `d`, in pixels.
+    /// Returns the largest displacement of a corner that the motion with the parameters `d` causes, in pixels.
     pub(crate) fn largest_move(&self, d: &DVector<f64>) -> f64 {
         Transform::Homography(self.matrix(d)).corner_distance(&Transform::Identity, self.size.0, self.size.1)
     }
 
-    /// Returns the root mean square displacement, over the picture, by the motion with the parameters `d`, in pixels.
+    /// Returns the root mean square displacement over the picture that the motion with the parameters `d` causes, in
+    /// pixels.
     pub(crate) fn mean_move(&self, d: &DVector<f64>) -> f64 {
         let sum: f64 = grid(self.size.0, self.size.1)
             .map(|(x, y)| {

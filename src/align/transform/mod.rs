@@ -1,8 +1,8 @@
 //! Transforms: reference pixel -> frame pixel.
 //!
-//! In: a shift, a rotation, or a homography. Out: its 3x3 matrix on pixel coordinates, or on those of a pyramid level;
-//! its shift, rotation, and distance to another transform. Cost: negligible. Source: Hartley & Zisserman, Multiple View
-//! Geometry (2nd ed., 2004), section 2.4 (a hierarchy of transformations).
+//! In: a shift, a rotation, or a homography. Out: its 3x3 matrix on pixel coordinates of the full size or of a pyramid
+//! level; its shift, its rotation, and its distance to another transform. Cost: negligible. Source: Hartley &
+//! Zisserman, Multiple View Geometry (2nd ed., 2004), section 2.4 (a hierarchy of transformations).
 
 mod increment;
 mod model;
@@ -19,7 +19,8 @@ use std::f64::consts::PI;
 pub enum Transform {
     /// The frame did not move.
     Identity,
-    /// x' = c + R(angle) (x - c) + d with the picture's centre c; a shift if the angle is 0.
+    /// A rotation R about the picture's centre c, and a shift d: x' = c + R(angle) (x - c) + d. A pure shift if the
+    /// angle is 0.
     Rigid {
         /// Shift to the right, in pixels.
         dx: f64,
@@ -28,7 +29,7 @@ pub enum Transform {
         /// Rotation from +x towards +y (clockwise on the screen), in radians.
         angle: f64,
     },
-    /// x' ~ H x; the lower right element of H is 1.
+    /// A homography in homogeneous coordinates: x' ~ H x. The lower right element of H is 1.
     Homography(Matrix3<f64>),
 }
 
@@ -110,8 +111,8 @@ pub(crate) fn distance(a: &Transform, b: &Transform, width: usize, height: usize
 
 /// Returns the matrix that maps a pixel of `level` to a pixel of the full size.
 ///
-/// It has an offset, because the centre of a pixel is between those of two pixels of the next larger level along each
-/// axis.
+/// The matrix has an offset. Along each axis, a pixel of a level covers two pixels of the next larger level, and its
+/// centre is between their centres.
 pub fn level_to_full(level: usize) -> Matrix3<f64> {
     let scale = (1u64 << level) as f64;
     let offset = (scale - 1.0) / 2.0;
@@ -136,7 +137,8 @@ pub fn off_level(h: &Matrix3<f64>, level: usize) -> Matrix3<f64> {
     whole / whole[(2, 2)]
 }
 
-/// Applies x' ~ H x to the point (x, y). The result is not finite for points on the line that H maps to infinity.
+/// Maps the point (x, y) by the matrix `h` in homogeneous coordinates. The result is not finite for points on the line
+/// that `h` maps to infinity.
 #[inline(always)]
 pub fn map(h: &Matrix3<f64>, x: f64, y: f64) -> (f64, f64) {
     let w = h[(2, 0)] * x + h[(2, 1)] * y + h[(2, 2)];
@@ -162,8 +164,8 @@ mod tests {
     #[test]
     fn corner_distance_is_that_of_the_worst_corner() {
         let h = Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1e-4, 0.0, 1.0);
-        // x' = x / (1 + 1e-4 x): the right corners move by 100 - 100 / 1.01 horizontally, and the lower right one by 50
-        // - 50 / 1.01 vertically.
+        // x' = x / (1 + 1e-4 x) and y' = y / (1 + 1e-4 x). The right corners (x = 100) move by 100 - 100 / 1.01
+        // horizontally. The lower right corner (y = 50) also moves by 50 - 50 / 1.01 vertically.
         let (across, along): (f64, f64) = (100.0 - 100.0 / 1.01, 50.0 - 50.0 / 1.01);
         let worst = Transform::Homography(h).corner_distance(&Transform::Identity, 101, 51);
         assert!((worst - across.hypot(along)).abs() < 1e-9);

@@ -21,8 +21,8 @@ pub enum Model {
 }
 
 impl Model {
-    /// Returns the smallest model that contains `transform` as it is stored; the matrix of a homography is not
-    /// examined.
+    /// Returns the smallest model for the variant of `transform`. A [`Transform::Homography`] always has the model
+    /// [`Model::Homography`], even if its matrix is a shift.
     pub fn of(transform: &Transform) -> Self {
         match *transform {
             Transform::Identity => Model::Unmoved,
@@ -33,8 +33,8 @@ impl Model {
     }
 }
 
-/// Returns the matrix of the transform of `model` that is nearest to `h`: it has the same shift and rotation at the
-/// centre.
+/// Returns the matrix of a transform of `model` near `h`: it has the same shift at the centre, and, if `model` allows
+/// rotation, the same rotation there.
 pub(crate) fn restrict(h: &Matrix3<f64>, model: Model, width: usize, height: usize) -> Matrix3<f64> {
     let transform = Transform::Homography(*h);
     let (dx, dy) = transform.shift_px(width, height);
@@ -49,7 +49,8 @@ pub(crate) fn restrict(h: &Matrix3<f64>, model: Model, width: usize, height: usi
     }
 }
 
-/// Returns the transform of `model` that has the same shift and rotation at the centre as `h`.
+/// Converts `h` to a [`Transform`] of `model`, with the same shift at the centre as `h`, and, if `model` allows
+/// rotation, the same rotation there.
 pub(crate) fn to_transform(h: &Matrix3<f64>, model: Model, width: usize, height: usize) -> Transform {
     let whole = Transform::Homography(h / h[(2, 2)]);
     let (dx, dy) = whole.shift_px(width, height);

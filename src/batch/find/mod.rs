@@ -1,11 +1,13 @@
-//! Finds brackets in folders, as they come from a card.
+//! Finds the brackets in folders that were copied from a memory card.
 //!
-//! In: folders. Out: [`Found`]: brackets, each with its photographs in order of time, and every other photograph with
-//! the [`Reason`] why it is in none. The result is the same for any order of folders and entries and any number of
-//! threads. Cost: reading the header of each photograph ([`Header`]), and about 50 us to assign it.
+//! In: folders. Out: [`Found`]: the brackets, each with its photographs in order of time, and all photographs that
+//! are in no bracket, each with the [`Reason`]. The result does not depend on the order of folders and directory
+//! entries, or on the number of threads. Cost: for each photograph, reading its header ([`Header`]), and about 50 us
+//! to assign it to a bracket.
 //!
-//! Photographs are separated into streams in which the frames of a bracket follow each other (`streams`), and each
-//! stream is divided at the smallest cost (`segment`). For users: docs/reference/bracket-detection.md.
+//! First, photographs are separated into streams in which the frames of a bracket follow each other (`streams`). Then
+//! each stream is divided into brackets at the smallest cost (`segment`). For users:
+//! docs/reference/bracket-detection.md.
 
 mod rhythm;
 mod segment;
@@ -25,17 +27,18 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// Options of the search.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct FindOptions {
-    /// Number of photographs of every bracket. If it is given, photographs without exposure are also grouped.
-    /// Default: any number from 2 to 32.
+    /// Number of photographs of every bracket. If it is given, photographs without a recorded exposure are also
+    /// grouped. Default: a bracket may have any number from 2 to 32.
     pub frames: Option<usize>,
     /// Longest pause within a bracket, from the end of an exposure to the start of the next, in seconds. Default:
     /// 120.
     pub gap_s: Option<f64>,
-    /// Each folder is one bracket, regardless of EXIF.
+    /// If true, each folder is one bracket, regardless of EXIF.
     pub by_folder: bool,
     /// Folders that are not searched, because results go there.
     pub skip: Vec<PathBuf>,
-    /// Largest number of pixels of a photograph; larger ones are not used. Default: [`Limits::MAX_PIXELS`].
+    /// Largest allowed number of pixels of a photograph; larger photographs are not used. Default:
+    /// [`Limits::MAX_PIXELS`].
     pub max_pixels: Option<u64>,
 }
 
@@ -46,7 +49,7 @@ pub struct Found {
     pub brackets: Vec<FoundBracket>,
     /// Photographs that are in no bracket, and folders that cannot be read; sorted by path.
     pub left_over: Vec<LeftOver>,
-    /// Number of files that are not photographs by name: videos, texts, results.
+    /// Number of files whose extension is not that of a photograph: videos, texts, results such as .exr.
     pub other_files: usize,
 }
 
@@ -55,18 +58,18 @@ pub struct Found {
 pub struct FoundBracket {
     /// The searched folder that contains the bracket.
     pub root: PathBuf,
-    /// The folder of its first photograph, relative to `root`; empty for `root` itself.
+    /// The folder of the first photograph of the bracket, relative to `root`; empty if this folder is `root` itself.
     pub folder: PathBuf,
-    /// The photographs, at least two, in order of time, or of name if the time is not known.
+    /// The photographs, at least two. They are in order of time, or in order of name if their times are not known.
     pub photographs: Vec<Shot>,
-    /// The number of the panorama that contains the bracket, from 0: brackets of one panorama were taken one after the
-    /// other, with the same pattern.
+    /// The number of the panorama that contains the bracket, from 0. Consecutive brackets with the same exposure
+    /// steps and short pauses between them form one panorama.
     pub set: usize,
 }
 
 impl FoundBracket {
-    /// Returns the relative exposure t ISO / N^2 (s) with which each photograph is merged; `None` if its EXIF tags do
-    /// not suffice.
+    /// Returns for each photograph the relative exposure t ISO / N^2 (s) with which it is merged; `None` if its EXIF
+    /// tags do not suffice.
     pub fn exposures(&self) -> Vec<Option<f64>> {
         let tags: Vec<_> = self.photographs.iter().map(|shot| shot.header.exposure).collect();
         let (exposures, _) = exposure::by_tags(&tags);
@@ -77,9 +80,9 @@ impl FoundBracket {
 /// A photograph in a bracket.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Shot {
-    /// The path of the file: the searched folder joined with the path relative to it.
+    /// The path of the file: the path of the searched folder, followed by the path relative to it.
     pub path: PathBuf,
-    /// Its header.
+    /// The header of the file.
     pub header: Header,
 }
 
@@ -88,23 +91,23 @@ pub struct Shot {
 pub struct LeftOver {
     /// The file or the folder.
     pub path: PathBuf,
-    /// Why it is in no bracket.
+    /// Why it is in no bracket, or why the folder cannot be read.
     pub reason: Reason,
 }
 
-/// Why a photograph is in no bracket, with the remedy if there is one.
+/// Why a photograph is in no bracket. The message also says what the user can do about it, if anything.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum Reason {
-    /// It is a raw file. Contains the photograph that is used instead, if there is one.
+    /// It is a raw file. Contains the path of the photograph that is used instead of it, if there is one.
     Raw(Option<PathBuf>),
     /// It is in an unsupported format. Contains the name of the format.
     Format(&'static str),
     /// Another file of the same shot is used. Contains the path of that file.
     Twin(PathBuf),
-    /// The same file is used under another path. Contains that path.
+    /// The same file is already used under another path. Contains that path.
     SameFile(PathBuf),
-    /// hdralign wrote it. Contains the name and version of the program from its EXIF.
+    /// It is a result that hdralign wrote. Contains the name and version of the program from its EXIF.
     Result(String),
     /// It cannot be read. Contains the error.
     Unreadable(String),
@@ -114,14 +117,16 @@ pub enum Reason {
     Flash,
     /// No photograph of another exposure is close enough in time.
     Single,
-    /// It is in a series of photographs with one exposure. Contains their number.
+    /// It is one of several consecutive photographs with the same exposure. Contains their number.
     Burst(usize),
-    /// With [`FindOptions::frames`], which it contains: too few photographs around it are left for a bracket.
+    /// Only with [`FindOptions::frames`]: too few photographs around it are left for a bracket of that number of
+    /// frames. Contains that number.
     Remainder(usize),
-    /// With [`FindOptions::by_folder`]: contains its width and height, which differ from those of the bracket, and the
-    /// bracket's.
+    /// Only with [`FindOptions::by_folder`]: its size differs from that of the bracket of its folder. Contains its
+    /// width and height, then those of the bracket.
     OtherSize((usize, usize), (usize, usize)),
-    /// With [`FindOptions::by_folder`]: no other photograph of the folder has its size.
+    /// Only with [`FindOptions::by_folder`]: no other photograph of the folder has its size, so it would be alone in
+    /// the bracket.
     Alone,
 }
 
@@ -168,8 +173,8 @@ impl fmt::Display for Reason {
     }
 }
 
-/// Finds the brackets in the folders `roots` and the folders below them. Calls `watch` with the number of headers read
-/// so far, from any thread.
+/// Finds the brackets in the folders `roots` and all folders below them. Calls `watch` with the number of headers
+/// read so far. The calls come from any thread.
 ///
 /// # Errors
 /// [`Error::Read`](crate::error::Error::Read) if one of `roots` is not a folder or cannot be read;

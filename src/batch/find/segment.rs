@@ -1,22 +1,25 @@
-//! Divides the exposures of one camera into brackets, at the smallest cost.
+//! Divides the exposures of one stream (photographs of one camera and folder) into brackets, at the smallest cost.
 //!
-//! In: the exposures of one stream in order of time. Out: the ranges that are brackets; photographs between the ranges
-//! are in no bracket. Cost: the number of frames times [`MOST_FRAMES`] times the length of a bracket.
+//! In: the exposures of one stream in order of time. Out: the ranges that are brackets; photographs between the
+//! ranges are in no bracket. Computing time: proportional to the number of frames; for each first frame, at most
+//! [`MOST_FRAMES`] ranges (or the number of frames that the user gives) are considered.
 //!
-//! The cost of a division into brackets and single photographs is a sum: a single costs [`SINGLE`], a bracket
-//! [`BRACKET`] plus the costs of what is unusual about it (see [`cost`]). The division with the smallest cost is
-//! found by dynamic programming. This recognises a stray frame beside a repeated pattern. Rules that proceed from frame
-//! to frame would use the stray frame as the first frame of the pattern, and all later brackets would be wrong by one.
-//! Costs are in nats: 1 means "2.7 times less likely". Source of the algorithm: Jackson et al. 2005, "An algorithm for
-//! optimal partitioning of data on an interval". The costs are our own, set with the simulated photographers of the
-//! tests.
+//! A division consists of brackets and single photographs. Its cost is the sum of the costs of its parts: a single
+//! photograph costs [`SINGLE`]; a bracket costs [`BRACKET`] plus a cost for everything that is unusual about it (see
+//! [`cost`]). Dynamic programming finds the division with the smallest cost. This recognises a stray frame beside a
+//! repeated pattern. Rules that proceed from frame to frame would take the stray frame as the first frame of the
+//! pattern, and all later brackets would be shifted by one frame.
+//!
+//! Costs are in nats (negative natural logarithms): a cost of 1 means "2.7 times less likely". Source of the
+//! algorithm: Jackson et al. 2005, "An algorithm for optimal partitioning of data on an interval". The cost values
+//! are not from that paper. They were chosen with the simulated photographers of the tests.
 
 use super::rhythm::{self, Clock, Mode, TimedExposure};
 use crate::statistics::median;
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-/// Known properties of the brackets.
+/// What is known about the brackets from the user's options.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Rules {
     /// Number of frames of every bracket; `None` for any number.
@@ -27,70 +30,77 @@ pub(super) struct Rules {
 
 /// Largest number of frames of a bracket if the user does not give the number.
 pub(super) const MOST_FRAMES: usize = 32;
-/// Difference in stops below which exposures are equal: half of the smallest step of a camera.
+/// Two exposures count as equal if they differ by less than this, in stops: half of the smallest step of a camera
+/// (1/3 stop).
 pub(super) const SAME_STOPS: f64 = 0.17;
-/// Smallest range of the exposures of a bracket, in stops.
+/// Smallest range of the exposures of a bracket (brightest minus darkest), in stops.
 pub(super) const LEAST_STOPS: f64 = 0.5;
 
 /// Cost of a photograph in no bracket.
 const SINGLE: f64 = 3.0;
-/// Cost of a photograph in no bracket if the user gives the number of frames of a bracket.
+/// Replaces [`SINGLE`] if the user gives the number of frames of a bracket.
 const SINGLE_OF_COUNTED: f64 = 8.0;
 /// Cost of a bracket of three frames without unusual properties.
 const BRACKET: f64 = 4.0;
 /// Additional cost of a bracket of two frames, because two exposures often differ by chance.
 const TWO: f64 = 1.5;
-/// Additional cost of a bracket of 4, 6, 8, 10 or more frames: brackets of 3, 5, 7 and 9 are common.
+/// Additional cost of a bracket of 4, 6, 8, 10 or more frames: brackets of 3, 5, 7 and 9 frames are more common.
 const UNUSUAL_COUNT: f64 = 0.3;
-/// Cost of a range of exposures of less than a stop.
+/// Cost of a bracket whose exposures span less than a stop.
 const NARROW: f64 = 1.0;
-/// Cost of each repeated exposure.
+/// Cost of each frame that repeats the exposure of an earlier frame of the bracket.
 const TWICE: f64 = 4.0;
-/// Largest number of repeated exposures in a range that is considered as a bracket.
+/// A range with more repeated exposures than this is not considered as a bracket, unless the user gives the number of
+/// frames.
 const MOST_TWICE: usize = 5;
-/// Cost of a repeated exposure if it is that of the last frame, after at least [`LONG_LADDER`] frames: the dial was at
-/// its end.
+/// Cost, instead of [`TWICE`], if the last frame repeats the exposure of the frame before it, and at least
+/// [`LONG_LADDER`] frames precede it: the photographer had reached the end of the dial.
 const ONCE_MORE: f64 = 1.5;
-/// Number of frames from which a repeated last exposure costs [`ONCE_MORE`].
+/// Smallest number of frames before the last one for which its repeated exposure costs only [`ONCE_MORE`].
 const LONG_LADDER: usize = 5;
-/// Cost of each step that differs from the median step.
+/// Cost of each exposure step that differs from the median step of the bracket.
 const ODD_STEP: f64 = 1.5;
-/// Largest cost of all steps that differ from the median step.
+/// Upper bound of the total cost of such steps in one bracket.
 const ODD_STEPS: f64 = 4.0;
-/// Cost of each change between brighter and darker, if the order is one that no camera uses.
+/// Cost of each change between getting brighter and getting darker, if no camera uses the order of the exposures.
 const TURN: f64 = 0.7;
-/// Largest cost of all changes between brighter and darker.
+/// Upper bound of the total cost of these changes of direction in one bracket.
 const TURNS: f64 = 5.0;
-/// Cost of mixing frames in automatic bracket mode with frames in other modes, for each frame of the smaller group.
+/// Cost of a bracket that mixes frames in automatic bracket mode with frames in manual or automatic mode, for each
+/// frame of the smaller of the two groups.
 const MIXED: f64 = 8.0;
-/// Cost of each step in automatic mode that the recorded compensation does not explain: the light may have changed.
+/// Cost of each step between two frames in automatic mode that the recorded compensation does not explain. The cause
+/// may be a change of the light instead of a bracket.
 const METERED: f64 = 3.0;
-/// Cost, instead of [`METERED`], of a step of about a stop or more within [`AT_ONCE_S`], if all steps of the bracket
-/// are equal: light does not change so fast and so evenly, so the camera took a bracket, although EXIF does not say so.
+/// Cost, instead of [`METERED`], of a step of about a stop or more after a pause of at most [`AT_ONCE_S`], if all
+/// steps of the bracket are equal. Light does not change so fast and so evenly. So the camera probably took a
+/// bracket, although EXIF does not record it.
 const METERED_AT_ONCE: f64 = 0.7;
-/// Longest pause before a step that costs only [`METERED_AT_ONCE`], in seconds.
+/// Longest pause before a step for which the step costs only [`METERED_AT_ONCE`], in seconds.
 const AT_ONCE_S: f64 = 1.0;
 /// Cost of each frame that has the same position in the camera's bracketing sequence as an earlier frame.
 const PLACE_TWICE: f64 = 2.5;
-/// Largest cost of all repeated positions.
+/// Upper bound of the total cost of repeated positions in one bracket.
 const PLACES_TWICE: f64 = 5.0;
-/// Gain (negative cost) if three or more frames have different positions in the camera's bracketing sequence.
+/// Gain (negative cost) of a bracket of three or more frames that all have different positions in the camera's
+/// bracketing sequence.
 const PLACES: f64 = 2.0;
-/// Gain (negative cost) if the camera's sequence was repeated with another compensation and continues the ladder of
-/// exposures, which does not happen by chance.
+/// Gain (negative cost) if the camera went through its bracketing sequence again with another exposure compensation,
+/// and the second pass continues the exposures of the first in even steps. This does not happen by chance.
 const EXTENDED: f64 = 4.0;
-/// Cost if the same steps occur twice or more in a row: probably these are several brackets.
+/// Cost if the same sequence of steps occurs two or more times in a row: the range probably contains several
+/// brackets.
 const REPEATED: f64 = 4.0;
-/// Largest gain (negative cost) of a pattern that is found often.
+/// Upper bound of the gain (negative cost) of a bracket whose pattern of exposures was found often on the same card.
 const POPULAR: f64 = 2.5;
 
-/// Returns the brackets of `exposures` as ranges in order.
+/// Returns the brackets among `exposures`, as index ranges in order.
 pub(super) fn brackets(exposures: &[TimedExposure], clock: Clock, rules: &Rules) -> Vec<Range<usize>> {
     let gaps = rhythm::gaps(exposures, clock);
     let mut popular = Popular::default();
     let mut found = divided(exposures, &gaps, rules, &popular);
-    // Patterns that were found often become more likely. Two further passes are enough, because the frequent patterns
-    // of a card are known after the first pass.
+    // Patterns of exposures that were found often become more likely. Two further passes are enough, because the
+    // frequent patterns of a card are known after the first pass.
     for _ in 0..2 {
         popular = Popular::of(exposures, &found);
         let again = divided(exposures, &gaps, rules, &popular);
@@ -102,20 +112,20 @@ pub(super) fn brackets(exposures: &[TimedExposure], clock: Clock, rules: &Rules)
     found
 }
 
-/// Returns the division with the smallest cost, by dynamic programming over the start of the last bracket. Of divisions
-/// with equal cost it is the one whose brackets start first.
+/// Returns the division with the smallest cost, by dynamic programming over the first frame of the last part. If
+/// several divisions have the same cost, it returns the one whose brackets start first.
 fn divided(exposures: &[TimedExposure], gaps: &[Option<f64>], rules: &Rules, popular: &Popular) -> Vec<Range<usize>> {
     let single = if rules.frames.is_some() { SINGLE_OF_COUNTED } else { SINGLE };
-    // best[end]: cost and start of the last part (a bracket or a single frame) in the cheapest division of the frames
-    // before `end`. The cost of that whole division is reached[end].
+    // reached[end] is the smallest cost of a division of the frames before `end`. best[end] describes the last part
+    // (a bracket or a single frame) of that division: the cost of this part, and its first frame.
     let mut best = vec![(0.0, 0); exposures.len() + 1];
     let mut reached = vec![f64::INFINITY; exposures.len() + 1];
     reached[0] = 0.0;
     for begin in 0..exposures.len() {
         let so_far = reached[begin];
         let mut offer = |end: usize, cost: f64| {
-            // `<=` (with a tolerance): of last parts with equal cost, the one that starts latest is kept, so that
-            // brackets come first and single photographs last.
+            // `<=` (with a tolerance) instead of `<`: if several last parts give the same total cost, the one that
+            // starts latest is kept. So brackets come first and single photographs last.
             if so_far + cost <= reached[end] + 1e-9 {
                 reached[end] = so_far + cost;
                 best[end] = (cost, begin);
@@ -156,7 +166,7 @@ fn divided(exposures: &[TimedExposure], gaps: &[Option<f64>], rules: &Rules, pop
     found
 }
 
-/// Returns whether two frames have the same focal length, within 1 %; true if one of them is not known.
+/// Returns whether two frames have the same focal length, within 1 %; true if one of the focal lengths is not known.
 pub(super) fn is_one_view(a: &TimedExposure, b: &TimedExposure) -> bool {
     match (a.focal_length_mm, b.focal_length_mm) {
         (Some(a), Some(b)) => (a - b).abs() <= 0.01 * a.max(b),
@@ -164,16 +174,26 @@ pub(super) fn is_one_view(a: &TimedExposure, b: &TimedExposure) -> bool {
     }
 }
 
-/// Returns the cost of `exposures` as a bracket with the pauses `gaps`, or `None` if it cannot be one.
+/// Returns the cost of `exposures` if they are one bracket with the pauses `gaps`, or `None` if they cannot be one.
 ///
-/// The cost is the sum for: the number of frames; a narrow range; long and uneven pauses; repeated exposures; uneven
-/// steps; an order that no camera uses; frames that were metered separately, or without automatic bracketing beside
-/// frames with it; repeated positions in the camera's bracketing sequence; the same steps twice in a row. It is less if
-/// the camera records different positions, or continues its sequence with another compensation.
+/// The cost is a sum. Its terms are for:
+/// - the number of frames;
+/// - a narrow range of exposures;
+/// - long and uneven pauses;
+/// - repeated exposures;
+/// - uneven steps;
+/// - an order that no camera uses;
+/// - frames that the camera metered separately;
+/// - a mix of frames with and without automatic bracketing;
+/// - repeated positions in the camera's bracketing sequence (a gain if all positions differ);
+/// - the same steps two or more times in a row.
+///
+/// If the camera continued its sequence with another compensation, a gain replaces the terms for order, positions and
+/// repeated steps.
 fn cost(exposures: &[TimedExposure], gaps: &[Option<f64>], rules: &Rules) -> Option<f64> {
     let known: Option<Vec<f64>> = exposures.iter().map(|b| b.ev).collect();
     let Some(evs) = known else {
-        // If an exposure is not known, only the number of frames that the user gives makes a bracket.
+        // Exposures that are not known are grouped only if the user gives the number of frames; this costs nothing.
         return rules.frames.map(|_| 0.0);
     };
     let sorted = in_order(&evs);
@@ -218,7 +238,7 @@ fn is_same(a: f64, b: f64) -> bool {
     (a - b).abs() < SAME_STOPS
 }
 
-/// Returns the cost of repeated exposures.
+/// Returns the cost of exposures that occur more than once.
 fn of_twice(evs: &[f64]) -> f64 {
     let mut sum = 0.0;
     for (i, &ev) in evs.iter().enumerate() {
@@ -230,7 +250,8 @@ fn of_twice(evs: &[f64]) -> f64 {
     sum
 }
 
-/// Returns the cost of steps between the `sorted` exposures that differ from the median step.
+/// `sorted` contains the exposures from dark to bright. Returns the cost of the steps between them that differ from
+/// the median step.
 fn of_steps(sorted: &[f64]) -> f64 {
     let steps: Vec<f64> = sorted.windows(2).map(|w| w[1] - w[0]).filter(|&step| step >= SAME_STOPS).collect();
     let Some(middle) = median(steps.iter().copied()) else { return 0.0 };
@@ -238,14 +259,15 @@ fn of_steps(sorted: &[f64]) -> f64 {
     (ODD_STEP * odd as f64).min(ODD_STEPS)
 }
 
-/// Returns the cost of changes between brighter and darker. It is 0 for the orders that cameras use: monotone; the
-/// middle and then all others from one end to the other; or from the middle outward, alternating.
+/// Returns the cost of changes between getting brighter and getting darker. It is 0 for the three orders that cameras
+/// use: monotone; the middle exposure first and then the others from one end to the other; the middle exposure first
+/// and then outward, alternating between brighter and darker.
 fn of_order(evs: &[f64]) -> f64 {
     let signs: Vec<bool> = evs.windows(2).filter(|w| !is_same(w[0], w[1])).map(|w| w[1] > w[0]).collect();
     let turns = signs.windows(2).filter(|w| w[0] != w[1]).count();
     let rank = |ev: f64| evs.iter().filter(|&&other| other < ev).count();
     let is_from_the_middle = rank(evs[0]) == (evs.len() - 1) / 2 || rank(evs[0]) == evs.len() / 2;
-    // The frames after the middle one are in order from one end to the other, such as 0 -2 -1 1 2.
+    // The frames after the first are in order from one end to the other, as in 0, -2, -1, 1, 2.
     let is_one_way = |evs: &[f64]| {
         evs.windows(2).all(|w| w[1] > w[0] + SAME_STOPS) || evs.windows(2).all(|w| w[1] < w[0] - SAME_STOPS)
     };
@@ -260,8 +282,8 @@ fn of_order(evs: &[f64]) -> f64 {
     }
 }
 
-/// Returns the cost of frames without automatic bracketing among frames with it, and of steps in automatic mode that
-/// the recorded compensation does not explain.
+/// Returns the cost of a mix of frames with and without automatic bracketing, plus the cost of steps between frames
+/// in automatic mode that the recorded compensation does not explain.
 fn of_modes(exposures: &[TimedExposure], gaps: &[Option<f64>], evs: &[f64]) -> f64 {
     let count = |mode: Mode| exposures.iter().filter(|b| b.mode == mode).count();
     let (bracketed, others) = (count(Mode::AutoBracket), count(Mode::Manual) + count(Mode::Automatic));
@@ -271,7 +293,8 @@ fn of_modes(exposures: &[TimedExposure], gaps: &[Option<f64>], evs: &[f64]) -> f
         let (a, b) = (&exposures[i], &exposures[i + 1]);
         let asked = b.place.unwrap_or(0.0) - a.place.unwrap_or(0.0);
         let given = evs[i + 1] - evs[i];
-        // If the photographer turned the compensation dial, the light may have changed by half a stop in the meantime.
+        // If the recorded compensation changed, the photographer turned a dial. In the meantime the light may have
+        // changed by half a stop, so the tolerance is larger.
         let most = if is_same(asked, 0.0) { SAME_STOPS } else { 0.5 };
         if a.mode != Mode::Automatic || b.mode != Mode::Automatic || (given - asked).abs() <= most {
             return 0.0;
@@ -283,7 +306,8 @@ fn of_modes(exposures: &[TimedExposure], gaps: &[Option<f64>], evs: &[f64]) -> f
     mixed + (0..gaps.len()).map(of_step).sum::<f64>()
 }
 
-/// Returns the cost of repeated positions in the camera's bracketing sequence; negative if all positions differ.
+/// Returns the cost of repeated positions in the camera's bracketing sequence. It is negative (a gain) if all
+/// positions of three or more frames differ.
 fn of_places(exposures: &[TimedExposure]) -> f64 {
     let places: Vec<f64> = exposures.iter().filter(|b| b.mode != Mode::Manual).filter_map(|b| b.place).collect();
     let Some(&first) = places.first() else { return 0.0 };
@@ -298,8 +322,8 @@ fn of_places(exposures: &[TimedExposure]) -> f64 {
     }
 }
 
-/// Returns whether the camera went through its bracketing sequence more than once, each time with another compensation,
-/// and all frames together are one ladder of even steps without repetition.
+/// Returns whether the camera went through its bracketing sequence more than once, each time with another exposure
+/// compensation, and the exposures of all frames together have even steps and no repetition.
 fn is_extended(exposures: &[TimedExposure], sorted: &[f64]) -> bool {
     let taken: Option<Vec<(f64, f64)>> = exposures.iter().map(|b| Some((b.place?, b.bias?))).collect();
     let Some(taken) = taken else { return false };
@@ -313,8 +337,8 @@ fn is_extended(exposures: &[TimedExposure], sorted: &[f64]) -> bool {
             begin = i;
         }
     }
-    // Some cameras record the compensation on the dial as the bias; others record the sum of this compensation and the
-    // frame's position in the bracketing sequence.
+    // Some cameras record as the bias only the compensation on the dial. Others record the sum of the dialled
+    // compensation and the frame's position in the bracketing sequence. Both cases are tried.
     let is_shifted = |dialled: fn(&(f64, f64)) -> f64| {
         let is_constant = |run: &&[(f64, f64)]| run.iter().all(|frame| is_same(dialled(frame), dialled(&run[0])));
         runs.iter().all(is_constant) && runs.windows(2).all(|w| !is_same(dialled(&w[0][0]), dialled(&w[1][0])))
@@ -325,7 +349,7 @@ fn is_extended(exposures: &[TimedExposure], sorted: &[f64]) -> bool {
         && (is_shifted(|(_, bias)| *bias) || is_shifted(|(place, bias)| bias - place))
 }
 
-/// Returns the cost if the steps are those of a shorter bracket, repeated.
+/// Returns the cost if the exposure steps are those of a shorter bracket two or more times in a row.
 fn of_repeats(evs: &[f64]) -> f64 {
     let is_repeated = |period: usize| {
         evs.len().is_multiple_of(period)
@@ -334,12 +358,12 @@ fn of_repeats(evs: &[f64]) -> f64 {
                 is_same(later - earlier, offset)
             })
     };
-    // A ladder of equal steps also consists of repeated steps; it is one bracket nevertheless.
+    // In a ladder (exposures in an order that cameras use), equal steps repeat too; nevertheless it is one bracket.
     let is_ladder = of_order(evs) == 0.0;
     if !is_ladder && (2..=evs.len() / 2).any(is_repeated) { REPEATED } else { 0.0 }
 }
 
-/// Number of brackets found so far for each [`pattern`].
+/// The number of brackets with each [`pattern`] in the last division.
 #[derive(Debug, Default)]
 struct Popular(BTreeMap<Vec<i32>, usize>);
 

@@ -1,10 +1,11 @@
-//! Divides photographs into streams, in which the frames of a bracket follow each other, and streams into brackets.
+//! Divides photographs into streams in which the frames of a bracket follow each other, and divides each stream into
+//! brackets.
 //!
 //! In: photographs. Out: [`Found`]. Cost: that of [`segment`] and of sorting the photographs.
 //!
-//! A stream contains the photographs of one camera with one lens at one size, with or without flash, in one folder.
-//! The numbered folders of a card (DCF 2.0, section 3.2.3: 100CANON, 101CANON) count as one, because the counter may
-//! roll over within a bracket.
+//! A stream contains photographs of one camera, one lens, one size and one folder. Photographs with flash and
+//! photographs without flash are in different streams. The numbered folders of a memory card (DCF 2.0, section 3.2.3:
+//! 100CANON, 101CANON) count as one folder, because the camera may start a new folder within a bracket.
 
 use super::rhythm::{self, Clock, Mode, TimedExposure};
 use super::segment::{self, Rules, SAME_STOPS};
@@ -20,7 +21,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// Checks the options.
+/// Returns an error if an option is invalid.
 pub(super) fn check(options: &FindOptions) -> Result<()> {
     if let Some(frames @ (0 | 1)) = options.frames {
         let reason = format!("a bracket has at least 2 photographs, not {frames}");
@@ -47,11 +48,12 @@ struct Stream {
     lens: Option<String>,
     size: (usize, usize),
     flash: bool,
-    /// Whether the photographs have a time; those without are in streams of their own, sorted by name.
+    /// Whether the time of the photographs is known. Photographs without a time are in separate streams, sorted by
+    /// name.
     is_timed: bool,
 }
 
-/// A folder, or all numbered folders of a card.
+/// A folder; the numbered folders of a memory card count as one.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 enum Folder {
     One(PathBuf),
@@ -72,19 +74,19 @@ impl Folder {
     }
 }
 
-/// A bracket; `set` is the number of its panorama within the stream.
+/// A bracket. `set` is the number of its panorama within the stream.
 struct Grouped {
     place: std::sync::Arc<Place>,
     frames: Vec<Placed>,
     set: usize,
 }
 
-/// Returns the brackets of `photographs`, and the photographs in no bracket, including `left_over`.
+/// Returns the brackets among `photographs`. The photographs in no bracket are added to those in `left_over`.
 pub(super) fn grouped(photographs: Vec<Placed>, options: &FindOptions, left_over: Vec<LeftOver>) -> Found {
     let mut left_over = left_over;
     let per_stream: Vec<(Vec<Grouped>, Vec<LeftOver>)> =
         if options.by_folder { by_folder(photographs) } else { by_time(photographs, options) };
-    // The final numbers of panoramas follow the order of the brackets of all streams.
+    // Panoramas are numbered again over all streams, in the order of their first brackets.
     let mut brackets: Vec<(usize, Grouped)> = Vec::new();
     for (stream, (grouped, left)) in per_stream.into_iter().enumerate() {
         left_over.extend(left);
@@ -114,7 +116,7 @@ pub(super) fn grouped(photographs: Vec<Placed>, options: &FindOptions, left_over
     Found { brackets, left_over, other_files: 0 }
 }
 
-/// Compares by time; photographs with a time come first.
+/// Orders two photographs by time. A photograph with a time comes before one without.
 fn in_time(a: &Header, b: &Header) -> Ordering {
     a.taken.is_none().cmp(&b.taken.is_none()).then(a.taken.cmp(&b.taken))
 }
@@ -147,8 +149,8 @@ fn by_time(photographs: Vec<Placed>, options: &FindOptions) -> Vec<(Vec<Grouped>
         .collect()
 }
 
-/// Divides the photographs of one stream into brackets and photographs in no bracket. `is_odd`: the flash fired for
-/// these photographs, but not for others of the same camera and folder.
+/// Divides the photographs of one stream into brackets and photographs in no bracket. `is_odd` is true if the flash
+/// fired for these photographs, but not for other photographs of the same camera and folder.
 fn divided(mut photographs: Vec<Placed>, options: &FindOptions, is_odd: bool) -> (Vec<Grouped>, Vec<LeftOver>) {
     let mut left = Vec::new();
     if options.frames.is_none() {
@@ -195,8 +197,8 @@ fn divided(mut photographs: Vec<Placed>, options: &FindOptions, is_odd: bool) ->
     (grouped, left)
 }
 
-/// Sorts by time. Photographs with equal time are sorted by name; if the counter in their names rolled over, 9999 comes
-/// before 0001.
+/// Sorts by time. Photographs with the same time are sorted by name, except that 9999 comes before 0001 if the
+/// camera's counter in the file names restarted between them.
 fn sort(photographs: &mut [Placed]) {
     let moment = |placed: &Placed| placed.shot.header.taken;
     photographs.sort_by(|a, b| moment(a).cmp(&moment(b)).then_with(|| natural(&a.shot.path, &b.shot.path)));
@@ -210,16 +212,17 @@ fn sort(photographs: &mut [Placed]) {
     }
 }
 
-/// Returns the number in a camera's file name: its last four digits.
+/// Returns the number that the camera gave to the photograph: the last four digits of the file name.
 fn number(path: &Path) -> Option<u32> {
     let stem = path.file_stem()?.to_str()?;
     stem.get(stem.len().checked_sub(4)?..)?.parse().ok()
 }
 
-/// Converts the headers of a stream for [`segment`].
+/// Converts the headers of the photographs of a stream to the input of [`segment`].
 fn exposures(photographs: &[Placed]) -> Vec<TimedExposure> {
     let begin = photographs.first().and_then(|placed| placed.shot.header.taken);
-    // Canon's maker notes record the position in the bracket; other cameras add it to the recorded compensation.
+    // Canon cameras record the frame's position in the bracketing sequence in the maker notes. Other cameras add this
+    // position to the recorded exposure compensation.
     let has_places = photographs.iter().any(|p| p.shot.header.bracket_stops.is_some_and(|stops| stops != 0.0));
     photographs
         .iter()
@@ -244,8 +247,8 @@ fn exposures(photographs: &[Placed]) -> Vec<TimedExposure> {
         .collect()
 }
 
-/// Returns the number of the panorama of each bracket, from 0. A panorama consists of brackets with the same steps and
-/// focal length that follow each other within [`rhythm::SET_S`].
+/// Returns for each bracket the number of its panorama, from 0. A panorama consists of consecutive brackets with the
+/// same exposure steps and focal length and with pauses of at most [`rhythm::SET_S`] between them.
 fn sets(exposures: &[TimedExposure], clock: Clock, ranges: &[Range<usize>]) -> Vec<usize> {
     let steps = |range: &Range<usize>| {
         let mut evs: Vec<f64> = exposures[range.clone()].iter().filter_map(|b| b.ev).collect();
@@ -254,7 +257,8 @@ fn sets(exposures: &[TimedExposure], clock: Clock, ranges: &[Range<usize>]) -> V
     };
     let is_one_pattern = |a: &Range<usize>, b: &Range<usize>| {
         let (first, second) = (steps(a), steps(b));
-        // Twice the tolerance, because both exposures of a difference have the rounding error of recorded values.
+        // The tolerance is twice that of single exposures, because each difference contains the rounding errors of
+        // two recorded exposures.
         let is_step = |i: usize| ((first[i] - first[0]) - (second[i] - second[0])).abs() < 2.0 * SAME_STOPS;
         !first.is_empty() && a.len() == b.len() && first.len() == second.len() && (0..first.len()).all(is_step)
     };
@@ -274,8 +278,8 @@ fn sets(exposures: &[TimedExposure], clock: Clock, ranges: &[Range<usize>]) -> V
     sets
 }
 
-/// Returns for each photograph the number of photographs in its burst (consecutive photographs in no bracket, with one
-/// exposure), or `None` if it is in no burst.
+/// Returns for each photograph the number of photographs in its burst, or `None` if it is in no burst. A burst
+/// consists of consecutive photographs that have the same exposure and are in no bracket.
 fn bursts(exposures: &[TimedExposure], clock: Clock, ranges: &[Range<usize>]) -> Vec<Option<usize>> {
     let mut is_free = vec![true; exposures.len()];
     ranges.iter().for_each(|range| is_free[range.clone()].fill(false));
@@ -297,7 +301,8 @@ fn bursts(exposures: &[TimedExposure], clock: Clock, ranges: &[Range<usize>]) ->
     bursts
 }
 
-/// Returns one bracket for each folder: its photographs with the most frequent size. The others are in no bracket.
+/// Returns one bracket for each folder. It contains the photographs that have the most frequent size in the folder;
+/// photographs of other sizes are in no bracket.
 fn by_folder(photographs: Vec<Placed>) -> Vec<(Vec<Grouped>, Vec<LeftOver>)> {
     let mut folders: BTreeMap<PathBuf, Vec<Placed>> = BTreeMap::new();
     for placed in photographs {
@@ -310,7 +315,8 @@ fn by_folder(photographs: Vec<Placed>) -> Vec<(Vec<Grouped>, Vec<LeftOver>)> {
             let size = |placed: &Placed| (placed.shot.header.width, placed.shot.header.height);
             let mut sizes: BTreeMap<(usize, usize), usize> = BTreeMap::new();
             photographs.iter().for_each(|placed| *sizes.entry(size(placed)).or_insert(0) += 1);
-            // If sizes are equally frequent, the largest is used, because small pictures are previews.
+            // If several sizes are equally frequent, the largest is used, because small photographs are probably
+            // previews.
             let most = sizes.into_iter().max_by_key(|&(size, count)| (count, size)).map_or((0, 0), |(size, _)| size);
             let (frames, others): (Vec<_>, Vec<_>) = photographs.into_iter().partition(|placed| size(placed) == most);
             let mut left: Vec<LeftOver> = others

@@ -1,4 +1,4 @@
-//! Tests with files that contain EXIF, in folders.
+//! Tests of the search in folders of files that contain EXIF.
 
 use super::*;
 use exif::experimental::Writer;
@@ -7,15 +7,15 @@ use std::fs;
 use std::io::Cursor;
 use std::path::Path;
 
-/// The EXIF of a photograph.
+/// The content of the EXIF of a photograph.
 #[derive(Clone)]
 struct Says {
     model: &'static str,
-    /// Hundredths of a second after noon.
+    /// Time of the photograph, in hundredths of a second after noon.
     at: u32,
-    /// Shutter time as a fraction, in seconds.
+    /// Shutter time in seconds: numerator and denominator.
     time: (u32, u32),
-    /// 0 automatic, 1 manual, 2 auto bracket.
+    /// EXIF ExposureMode: 0 is automatic, 1 manual, 2 automatic bracket.
     mode: u16,
     bias: i32,
     flash: bool,
@@ -52,7 +52,7 @@ fn exif(says: &Says) -> Vec<u8> {
     block.into_inner()
 }
 
-/// Returns a JPEG that ends where its picture data would start: the search reads only this part.
+/// Returns a JPEG file that ends before its pixel data. The search reads only the part before.
 fn jpeg(exif: Option<Vec<u8>>, (width, height): (u16, u16)) -> Vec<u8> {
     let mut bytes = b"\xff\xd8".to_vec();
     let mut segment = |code: u8, content: &[u8]| {
@@ -74,8 +74,8 @@ fn put(folder: &Path, name: &str, says: &Says) {
     fs::write(folder.join(name), jpeg(Some(exif(says)), (300, 200))).unwrap();
 }
 
-/// Writes three frames of an automatic bracket, 0.33 s apart, starting at `at`, with numbers from `first` on in their
-/// names.
+/// Writes three frames of an automatic bracket, 0.33 s apart; the first has the time `at`. The numbers in the file
+/// names start at `first`.
 fn put_bracket(folder: &Path, first: u32, at: u32, says: &Says) {
     for (i, (time, bias)) in [((1, 60), 0), ((1, 250), -2), ((1, 15), 2)].into_iter().enumerate() {
         let says = Says { at: at + 33 * i as u32, time, bias, ..says.clone() };
@@ -87,7 +87,7 @@ fn found(folder: &Path, options: &FindOptions) -> Found {
     find(&[folder.to_owned()], options, &|_| ()).unwrap()
 }
 
-/// Returns for each bracket the names of its photographs, without `IMG_` and extension.
+/// Returns a text for each bracket: the file names of its photographs, without `IMG_` and extension.
 fn names(found: &Found) -> Vec<String> {
     let name = |shot: &Shot| shot.path.file_stem().unwrap().to_string_lossy().replace("IMG_", "");
     found.brackets.iter().map(|b| b.photographs.iter().map(name).collect::<Vec<_>>().join(" ")).collect()
@@ -102,7 +102,8 @@ fn reasons(found: &Found) -> Vec<(String, Reason)> {
 fn two_bodies_at_once_a_flash_and_a_stray_are_distinguished() {
     let folder = tempfile::tempdir().unwrap();
     put_bracket(folder.path(), 1, 100, &MIDDLE);
-    // A bracket of another camera at the same time, and the additional flash frame of real-estate photographers.
+    // Another camera takes a bracket at the same time. 0004 is an additional frame with flash, as real-estate
+    // photographers take it.
     put_bracket(folder.path(), 101, 116, &Says { model: "B", ..MIDDLE });
     put(folder.path(), "IMG_0004.JPG", &Says { at: 400, flash: true, mode: 1, ..MIDDLE });
     put(folder.path(), "IMG_0005.JPG", &Says { at: 700, mode: 0, ..MIDDLE });
@@ -110,7 +111,8 @@ fn two_bodies_at_once_a_flash_and_a_stray_are_distinguished() {
     let found = found(folder.path(), &FindOptions::default());
     assert_eq!(names(&found), ["0001 0002 0003", "0101 0102 0103", "0006 0007 0008"]);
     assert_eq!(reasons(&found), [("IMG_0004.JPG".into(), Reason::Flash), ("IMG_0005.JPG".into(), Reason::Single)]);
-    // The third bracket starts 9 s after the first, by the same camera with the same pattern: one panorama, number 0.
+    // The third bracket starts 9 s after the first. It is from the same camera and has the same exposure steps, so
+    // both are in panorama 0.
     assert_eq!(found.brackets.iter().map(|b| b.set).collect::<Vec<_>>(), [0, 1, 0]);
 }
 
@@ -171,7 +173,7 @@ fn each_shot_is_used_once_and_results_never() {
 fn a_tiff_is_used_in_place_of_its_jpeg() {
     let folder = tempfile::tempdir().unwrap();
     put_bracket(folder.path(), 1, 0, &MIDDLE);
-    // For each JPEG a TIFF of the same name, exposure and time.
+    // For each JPEG there is also a TIFF with the same name, exposure and time.
     for (i, (time, bias)) in [((1, 60), 0), ((1, 250), -2), ((1, 15), 2)].into_iter().enumerate() {
         let says = Says { at: 33 * i as u32, time, bias, ..MIDDLE };
         fs::write(folder.path().join(format!("IMG_{:04}.tif", i + 1)), tiff(&says)).unwrap();

@@ -1,7 +1,8 @@
-//! Selects one file for each shot: a camera may write a raw file and a JPEG, and the photographer may add a TIFF.
+//! Selects one file for each shot. A camera may write a raw file and a JPEG of one shot, and the photographer may add
+//! a TIFF.
 //!
-//! In: the files and their headers. Out: the photographs, each shot once, and the other files. Cost: negligible.
-//! Source: DCF 2.0, section 4.4: files with the same name and different extensions are one object.
+//! In: the files and their headers. Out: the photographs, one file for each shot, and the files that are not used.
+//! Cost: negligible. Source: DCF 2.0, section 4.4: files that differ only in their extension belong to one object.
 
 use super::walk::{Candidate, Kind, Place};
 use super::{LeftOver, Reason, Shot};
@@ -11,15 +12,15 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
-/// A photograph and its folder.
+/// A photograph and the folder in which it was found.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Placed {
     pub(super) shot: Shot,
     pub(super) place: Arc<Place>,
 }
 
-/// Largest difference between the recorded times of two files of one shot, in seconds: one program truncates fractions
-/// of a second, another rounds.
+/// Two files with the same name are of one shot if their recorded times differ by at most this, in seconds. Small
+/// differences occur because some programs truncate fractions of a second and others round them.
 const ONE_SHOT_S: f64 = 2.0;
 
 /// Returns the photographs among `files`, one for each shot, and adds all other files to `left_over`.
@@ -50,7 +51,7 @@ pub(super) fn photographs(
             }
         }
     }
-    // Files with the same name: the one to use comes first.
+    // Files with the same name are sorted so that the file to use comes first.
     for twins in by_name.values_mut() {
         twins.sort_by(|a, b| rank(&b.shot).cmp(&rank(&a.shot)).then_with(|| a.shot.path.cmp(&b.shot.path)));
     }
@@ -74,8 +75,8 @@ pub(super) fn photographs(
     kept
 }
 
-/// Returns the rank of a file, the larger the better: whether it has an exposure, its depth, and its format (TIFF
-/// before PNG before JPEG).
+/// Returns the rank of a file; the file with the larger rank is used. The rank compares first whether the exposure is
+/// known, then the bit depth, then the format (TIFF is better than PNG, PNG better than JPEG).
 fn rank(shot: &Shot) -> (bool, u8, u8) {
     let extension = shot.path.extension().unwrap_or_default().to_ascii_lowercase();
     let lossless = match extension.to_str() {
@@ -93,7 +94,7 @@ fn is_one_shot(a: &Shot, b: &Shot) -> bool {
     }
 }
 
-/// Returns the text of `error` without the leading path, which is shown beside it.
+/// Returns the text of `error` without the path at its start, because the path is shown beside the text.
 fn without_path(error: &Error, path: &Path) -> String {
     let words = error.to_string();
     words.strip_prefix(&format!("{}: ", path.display())).unwrap_or(&words).to_owned()

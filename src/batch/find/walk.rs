@@ -1,8 +1,10 @@
-//! Lists the files in the folders, each once, in a fixed order.
+//! Lists the photographs in folders, each file once, in an order that does not depend on the file system.
 //!
-//! In: folders. Out: the [`Candidate`]s among them, by name, and what was skipped. Cost: that of listing the folders.
+//! In: folders. Out: the [`Candidate`]s (files that are photographs by their extension), and the files that are not
+//! used. Cost: that of listing the folders.
 //!
-//! Files come before links, in any order of the directory entries, so that of a file and a link to it the file is used.
+//! Symbolic links come after all other files, whatever the order of the directory entries. So if there is a file and
+//! a link to it, the file is used.
 
 use super::{LeftOver, Reason};
 use crate::bracket::EXTENSIONS;
@@ -15,7 +17,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// A file that is a photograph by its name.
+/// A file that is a photograph by its extension.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Candidate {
     pub(super) path: PathBuf,
@@ -24,7 +26,7 @@ pub(super) struct Candidate {
 }
 
 impl Candidate {
-    /// Whether its header can be read.
+    /// Returns whether hdralign can read its header, which is possible only for JPEG, PNG and TIFF.
     pub(super) fn is_read(&self) -> bool {
         self.kind == Kind::Picture
     }
@@ -33,27 +35,27 @@ impl Candidate {
 /// A folder that is searched.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(super) struct Place {
-    /// The folder given by the user.
+    /// The folder that the user gave.
     pub(super) root: PathBuf,
-    /// The path relative to `root`.
+    /// The path of this folder relative to `root`.
     pub(super) folder: PathBuf,
     /// The canonical path of this folder.
     pub(super) own: PathBuf,
 }
 
 impl Place {
-    /// Returns the path by which the folder was reached.
+    /// Returns the path by which the search reached this folder.
     fn path(&self) -> PathBuf {
         self.root.join(&self.folder)
     }
 
-    /// Returns the folder `name` in this one.
+    /// Returns the subfolder `name` of this folder; `own` is the canonical path of the subfolder.
     fn below(&self, name: &Path, own: PathBuf) -> Place {
         Place { root: self.root.clone(), folder: self.folder.join(name), own }
     }
 }
 
-/// The kind of a file by its name.
+/// The kind of a file, by its extension.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
     /// JPEG, PNG or TIFF.
@@ -71,7 +73,7 @@ const RAW: [&str; 32] = [
 ];
 
 impl Kind {
-    /// Returns `None` for files that are not photographs.
+    /// Returns the kind of the file `path`, or `None` if its extension is not that of a photograph.
     pub(super) fn of(path: &Path) -> Option<Self> {
         let extension = path.extension()?.to_str()?.to_ascii_lowercase();
         Some(match extension.as_str() {
@@ -94,7 +96,8 @@ pub(super) struct Walk {
     pub(super) other_files: usize,
 }
 
-/// Walks through `roots` and all folders below them, except the folders in `skip` that are not themselves in `roots`.
+/// Lists the photographs in `roots` and all folders below them, except in the folders `skip`. A folder of `skip` that
+/// is also in `roots` is searched nevertheless.
 pub(super) fn walk(roots: &[PathBuf], skip: &[PathBuf]) -> Result<Walk> {
     let mut roots: Vec<&PathBuf> = roots.iter().collect();
     roots.sort_by(|a, b| natural(a, b));
@@ -105,7 +108,8 @@ pub(super) fn walk(roots: &[PathBuf], skip: &[PathBuf]) -> Result<Walk> {
             let reason = "it is a file; name the folder that it is in";
             return Err(unreadable(io::Error::new(io::ErrorKind::InvalidInput, reason)));
         }
-        // A root that cannot be listed is an error; a folder below a root is only reported with the unused files.
+        // If a folder that the user gave cannot be listed, this is an error. A folder below it that cannot be listed
+        // is only reported with the unused files.
         fs::read_dir(root).map_err(unreadable)?;
         let own = fs::canonicalize(root).map_err(unreadable)?;
         open.push(Place { root: root.clone(), folder: PathBuf::new(), own });
@@ -117,7 +121,8 @@ pub(super) fn walk(roots: &[PathBuf], skip: &[PathBuf]) -> Result<Walk> {
     let (mut linked_files, mut linked_folders) = (Vec::new(), Vec::new());
     loop {
         let Some(place) = open.pop() else {
-            // All folders that are reached without a link have been searched; now those that only a link reaches.
+            // All folders that can be reached without a symbolic link have been searched. Now the folders follow that
+            // can be reached only by a link.
             linked_folders.sort_by(|a: &Place, b: &Place| natural(&a.path(), &b.path()));
             linked_folders.reverse();
             if linked_folders.is_empty() {
@@ -145,8 +150,8 @@ pub(super) fn walk(roots: &[PathBuf], skip: &[PathBuf]) -> Result<Walk> {
         let mut folders = Vec::new();
         for Entry { name, is_link, is_folder } in entries {
             match (is_folder, is_link) {
-                // The canonical path follows from that of the parent: asking the system would read all parent folders
-                // again.
+                // The canonical path is that of the parent plus the name. `fs::canonicalize` would read all parent
+                // folders again.
                 (true, false) => folders.push(place.below(&name, place.own.join(&name))),
                 (true, true) => match fs::canonicalize(path.join(&name)) {
                     Ok(own) => linked_folders.push(place.below(&name, own)),
@@ -174,8 +179,8 @@ struct Entry {
     is_folder: bool,
 }
 
-/// Returns the entries of the folder `path`, sorted by name, without hidden files, the folders `__MACOSX` (of zip
-/// files) and `@eaDir` (of file servers), and the folders that `hdralign inspect` writes.
+/// Returns the entries of the folder `path`, sorted by name. It omits hidden files, the folders `__MACOSX` (from zip
+/// files) and `@eaDir` (from file servers), and the folders that `hdralign inspect` writes.
 fn entries(path: &Path) -> io::Result<Vec<Entry>> {
     let mut entries = Vec::new();
     for entry in fs::read_dir(path)? {
@@ -186,7 +191,7 @@ fn entries(path: &Path) -> io::Result<Vec<Entry>> {
         }
         let kind = entry.file_type()?;
         let is_link = kind.is_symlink();
-        // A broken link has no target; it is reported when its header is read.
+        // For a broken link `is_folder` is false. The link is reported when its header is read.
         let is_folder = if is_link { fs::metadata(entry.path()).is_ok_and(|m| m.is_dir()) } else { kind.is_dir() };
         if is_folder && name.extension().is_some_and(|e| e == "inspect") {
             continue;
@@ -198,9 +203,10 @@ fn entries(path: &Path) -> io::Result<Vec<Entry>> {
 }
 
 impl Walk {
-    /// Adds the symbolic links `linked` to the candidates, and keeps each file once. A file without symbolic link is
-    /// kept once per folder, because copies in other folders may be hard links; a symbolic link is kept only if its
-    /// target is not among the candidates. The first path of a file is kept.
+    /// Adds the symbolic links `linked` to the candidates, and removes files that were found more than once. Of
+    /// several hard links to one file, the first in each folder is kept; hard links in different folders are all
+    /// kept, because they may be copies. A symbolic link is kept only if neither its target nor an earlier link to
+    /// the same target is a candidate.
     #[allow(clippy::clone_on_copy)]
     fn add_once(&mut self, linked: Vec<Candidate>) {
         let mut in_folder = HashMap::new();

@@ -1,4 +1,4 @@
-//! Unique names in a plan: no file belongs to two jobs, or to a job and the summary.
+//! Unique names in a plan: no file belongs to two jobs, or to both a job and the summary.
 //!
 //! In: the requested names. Out: the same names, with a number appended where necessary. Cost: negligible.
 
@@ -14,7 +14,7 @@ pub(super) struct JobFiles {
 }
 
 impl JobFiles {
-    /// Returns the files of a job: `base` with each extension appended, even if `base` contains dots.
+    /// Returns the files of a job. Each name is `base` followed by a dot and an extension; dots in `base` are kept.
     pub(super) fn new<'a>(base: &Path, extensions: impl IntoIterator<Item = &'a str>, has_page: bool) -> JobFiles {
         let with = |extension: &str| {
             let mut name = base.as_os_str().to_owned();
@@ -36,11 +36,11 @@ impl JobFiles {
     }
 }
 
-/// Names that are used. The second user of a name gets `-2` appended.
+/// The names that are already used. If a name is requested again, it gets `-2` appended, then `-3`.
 #[derive(Default)]
 pub(super) struct Unique {
     taken: BTreeSet<PathBuf>,
-    /// The number to append next for each name that was requested before.
+    /// For each name that was requested before, the number to append at the next request.
     next: BTreeMap<PathBuf, usize>,
 }
 
@@ -55,8 +55,8 @@ impl Unique {
         self.taken.extend(names.into_iter().map(|name| Unique::folded(&name)));
     }
 
-    /// Returns `wanted`, with a number appended if one of its files is used already, and marks its files as used.
-    /// `named` returns the files of a name.
+    /// Returns `wanted`, and marks its files as used. If one of its files is already used, a number is appended to
+    /// `wanted`. `named` returns the files that belong to a name.
     pub(super) fn path(&mut self, wanted: PathBuf, named: impl Fn(&Path) -> Vec<PathBuf>) -> PathBuf {
         let key = Unique::folded(&wanted);
         let mut number = self.next.get(&key).copied().unwrap_or(1);
@@ -76,7 +76,7 @@ impl Unique {
         }
     }
 
-    /// Returns `wanted`, with a number appended if it is used already, and marks it as used.
+    /// Returns `wanted`, with a number appended if it is already used. Marks the returned name as used.
     pub(super) fn text(&mut self, wanted: String) -> String {
         self.path(wanted.into(), |name| vec![name.to_owned()]).to_string_lossy().into_owned()
     }

@@ -1,6 +1,7 @@
 use super::*;
 
-/// Returns a bracket of two photographs in `folder`, with exposures of 1 and 4 s, numbered from `first`.
+/// Returns a bracket of two photographs in `folder`, with exposures of 1 and 4 s. The first file name has the number
+/// `first`.
 fn planned(root: &str, folder: &str, first: usize) -> Planned {
     let photographs = [first, first + 1].map(|n| Path::new(root).join(folder).join(format!("IMG_{n}.JPG"))).to_vec();
     Planned {
@@ -61,8 +62,9 @@ fn no_two_results_have_one_name() {
     assert_eq!(ids, ["all", "all-2", "all-3"]);
 }
 
-/// The failure file of `x` would be the report of `x.failed`, so one of them gets a number; so does a bracket whose
-/// files would be those of a response, of the summary, or of another bracket.
+/// A job named `x` has the failure file x.failed.json, which is also the report of a job named `x.failed`. So one of
+/// the two gets a number in its name. The same holds for a bracket whose files would be those of a response, of the
+/// summary, or of another bracket.
 #[test]
 fn no_two_jobs_have_a_file_in_common() {
     let named = |folder: &str| planned("/in", folder, 1);

@@ -5,7 +5,8 @@ use crate::error::Error;
 use std::path::Path;
 use std::sync::atomic::AtomicUsize;
 
-/// Returns jobs that all fail, because their photographs do not exist; each has an id and the ids that it needs.
+/// Returns jobs with the given ids, each with the ids of the jobs that it needs. All of them fail, because their
+/// photographs do not exist.
 fn jobs(ids: &[(&str, &[&str])], folder: &Path) -> Vec<Job> {
     let named = |(id, needs): &(&str, &[&str])| Job {
         id: (*id).into(),
@@ -39,7 +40,10 @@ fn failed_job_stops_only_jobs_that_need_it() {
             Ending::Failed(error) => error.clone(),
             other => panic!("{other:?}"),
         };
-        assert!(failed(0).contains("depends on the job a, which failed") && failed(1).contains("IMG_1.JPG"), "{endings:?}");
+        assert!(
+            failed(0).contains("depends on the job a, which failed") && failed(1).contains("IMG_1.JPG"),
+            "{endings:?}"
+        );
         assert!(failed(2).contains("cannot be read") && failed(3).contains("not in the plan"), "{endings:?}");
         assert_eq!(ended.load(Ordering::SeqCst), 4);
         assert!(all.iter().all(|s| job::Failure::read(s).is_some_and(|f| f.id == s.id)));
@@ -59,7 +63,7 @@ fn full_disk_stops_further_jobs_and_is_reported_once() {
     };
     let full = || std::io::Error::from(std::io::ErrorKind::StorageFull);
     let write = || Error::Write { path: "a.exr".into(), source: full() };
-    // A full scratch disk does not stop other jobs: smaller ones may have enough space.
+    // A full scratch disk does not stop other jobs, because smaller jobs may have enough space.
     let scratch = || Error::Scratch { folder: "s".into(), source: full() };
     assert!(write().is_disk_full() && !scratch().is_disk_full());
     let board = Board::new(&jobs, &limits, &stop, &watch);
@@ -72,7 +76,7 @@ fn full_disk_stops_further_jobs_and_is_reported_once() {
     assert_eq!((reports.into_inner(), ended.into_inner()), (1, 1));
 }
 
-/// Job b needs job a, which was not started because its disk is full: `take` does not wait for a, but ends b.
+/// Job b needs job a, which was not started because its disk is full. `take` does not wait for a, but ends b.
 #[test]
 fn jobs_that_need_an_unstarted_job_are_not_started() {
     let jobs = jobs(&[("a", &[]), ("b", &["a"])], Path::new("/none"));
@@ -94,7 +98,8 @@ fn stopped_batch_starts_no_job() {
     assert!(std::fs::read_dir(dir.path()).unwrap().next().is_none());
 }
 
-/// The jobs together never get more memory than there is, and at least one job always gets enough to run.
+/// The running jobs together never get more memory than the limit, and at least one job always gets enough memory to
+/// run.
 #[test]
 fn memory_and_threads_are_shared_out() {
     let mut all = jobs(&[("a", &[]), ("b", &[]), ("c", &[])], Path::new("/none"));
@@ -121,13 +126,14 @@ fn memory_and_threads_are_shared_out() {
     let share = board.take(|| ()).unwrap().1;
     assert_eq!(share, Share { threads: 2, taken: of_job + 1 });
 
-    // 10 bytes of pixels and 32 for a second thread: 42 are enough for both, 41 are not; one thread needs only 10.
+    // The pixels need 10 bytes, and a second thread needs 32. So 42 free bytes are enough for two threads, but 41
+    // only for one thread, which needs no memory in addition to the 10 bytes.
     let one_thread = |pixels| Share { threads: 1, taken: pixels };
     assert_eq!(Share::of(10, 32, 42, 2), Share { threads: 2, taken: 42 });
     assert_eq!(Share::of(10, 32, 41, 2), one_thread(10));
     assert_eq!(Share::of(10, 32, 10, 1), one_thread(10));
 
-    // A job that needs more memory than there is gets all of it, and so runs alone.
+    // A job that needs more memory than the limit gets all memory, so no other job runs at the same time.
     let little = limits(4, Some(MemoryLimit::PROGRAM + 1000));
     let board = Board::new(&all[..1], &little, &stop, &watch);
     let (_, share) = board.take(|| ()).unwrap();
@@ -153,8 +159,8 @@ fn the_longest_comes_first_if_there_is_room_for_it() {
     all[0].memory_mb = 150;
     let tight = limits(3, Some(MemoryLimit::PROGRAM + 260_000_000));
     let board = Board::new(&all, &tight, &stop, &watch);
-    // The program uses 25 MB of memory_mb, so b takes 175 MB of the 260 for pixels. The other 85 MB are not enough for
-    // a (125 MB), but for c (75 MB).
+    // 25 MB of `memory_mb` are for the program and not for pixels. So b takes 175 MB of the 260 MB for pixels. The
+    // other 85 MB are not enough for a (125 MB), but they are enough for c (75 MB).
     assert_eq!([board.take(|| ()).unwrap().0, board.take(|| ()).unwrap().0], [1, 2]);
 }
 

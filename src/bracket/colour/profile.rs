@@ -15,10 +15,10 @@ const PCS_WHITE: Vector3<f64> = Vector3::new(0.9642, 1.0, 0.8249);
 pub struct Profile {
     /// The profile's bytes.
     pub icc: Vec<u8>,
-    /// Its own description, such as `sRGB IEC61966-2.1`.
+    /// Description that the profile contains, such as `sRGB IEC61966-2.1`.
     pub description: String,
-    /// Primaries of the profile, replaced by a [standard set](Primaries::nearest_standard) where they match one within
-    /// rounding. `None` where the profile uses tables or is inconsistent.
+    /// Primaries of the profile. If they are within rounding of a [standard set](Primaries::nearest_standard), they are
+    /// replaced by that set. `None` where the profile uses tables or is inconsistent.
     pub primaries: Option<Primaries>,
 }
 
@@ -27,7 +27,7 @@ pub struct Profile {
 pub enum Found {
     /// An RGB profile; its primaries may be unknown.
     Rgb(Profile),
-    /// A profile of another colour model, by name; it does not apply to the decoded RGB.
+    /// A profile of another colour model, with the name of the model; it does not apply to the decoded RGB.
     Other(&'static str),
     /// An unreadable profile.
     Damaged,
@@ -59,7 +59,7 @@ impl Profile {
     /// same.
     pub fn srgb() -> Option<Profile> {
         let mut profile = moxcms::ColorProfile::new_srgb();
-        // The tag cICP is meant for video.
+        // The cICP tag is removed, because it is meant for video.
         profile.cicp = None;
         // In a display profile, the media white must be the white of the connection space (ICC.1, 9.2.36).
         profile.media_white_point = Some(moxcms::Xyzd { x: PCS_WHITE.x, y: PCS_WHITE.y, z: PCS_WHITE.z });
@@ -71,7 +71,8 @@ impl Profile {
         Profile::made(moxcms::ColorProfile::new_adobe_rgb(), D65, 1998)
     }
 
-    /// Creates a matrix and curve profile; `None` where the primaries span no space. The bytes are always the same.
+    /// Creates an RGB profile with a matrix and a curve; `None` where the primaries span no colour space. The bytes are
+    /// always the same.
     pub fn of(primaries: &Primaries, curve: Curve, description: &str) -> Option<Profile> {
         let matrix = from_d50(primaries.white)?.try_inverse()? * primaries.to_xyz()?;
         let colorant = |c: usize| moxcms::Xyzd { x: matrix[(0, c)], y: matrix[(1, c)], z: matrix[(2, c)] };
@@ -83,7 +84,7 @@ impl Profile {
         (profile.red_trc, profile.green_trc, profile.blue_trc) = (curve.clone(), curve.clone(), curve);
         let words = moxcms::LocalizableString::new("en".into(), "US".into(), description.to_owned());
         profile.description = Some(moxcms::ProfileText::Localizable(vec![words]));
-        // 2022 is the year of ICC.1:2022, the standard for such profiles.
+        // The profile is dated 2022, the year of ICC.1:2022, which defines such profiles.
         Profile::made(profile, primaries.white, 2022)
     }
 
@@ -96,8 +97,8 @@ impl Profile {
         // The encoder always writes the current time; a fixed date replaces it (ICC.1, 7.2.8: six 16-bit numbers).
         let date = [year, 11, 1, 0, 0, 0].map(u16::to_be_bytes);
         icc.get_mut(24..36)?.copy_from_slice(date.as_flattened());
-        // The encoder does not round the white of the connection space as the standard does (7.2.16), and validators
-        // report this.
+        // The encoder rounds the white of the connection space differently from ICC.1 (7.2.16), which validators
+        // report, so the bytes of ICC.1 replace it.
         icc.get_mut(68..80)?.copy_from_slice(b"\0\0\xf6\xd6\0\x01\0\0\0\0\xd3\x2d");
         match Profile::parse(icc) {
             Found::Rgb(profile) => Some(profile),
@@ -122,8 +123,9 @@ fn primaries(profile: &moxcms::ColorProfile) -> Option<Primaries> {
     if (stated[0] - D50[0]).abs() > 0.005 || (stated[1] - D50[1]).abs() > 0.005 {
         return unadapted(&colorants, from_d50(stated)?);
     }
-    // A media white of D50 is ambiguous: version 4 requires it in every profile, and the white of ProPhoto is D50. D65
-    // is assumed if it makes the primaries those of a known space.
+    // A media white of D50 is ambiguous: it may be the white of the colour space, as in ProPhoto, or D50 only because
+    // version 4 of ICC requires it in every profile. D65 is assumed to be the white if the primaries are then those of
+    // a known space.
     let d65 = unadapted(&colorants, from_d50(D65)?)?;
     if d65.nearest_standard().is_some() { Some(d65) } else { unadapted(&colorants, Matrix3::identity()) }
 }
@@ -141,7 +143,7 @@ fn text(description: &moxcms::ProfileText) -> String {
     text.chars().filter(|c| !c.is_control()).collect::<String>().trim().to_string()
 }
 
-/// Undoes the adaptation of the colorants and of the white to D50.
+/// Undoes the adaptation to D50 of the colorants and of the white.
 fn unadapted(colorants: &[Vector3<f64>; 3], from_d50: Matrix3<f64>) -> Option<Primaries> {
     let [red, green, blue] = colorants.map(|c| xy(from_d50 * c));
     Some(Primaries { red: red?, green: green?, blue: blue?, white: xy(from_d50 * PCS_WHITE)? })
@@ -205,8 +207,8 @@ mod tests {
         out
     }
 
-    /// XYZ of red, green and blue, adapted to D50, in the profiles that HP (sRGB), Adobe and Kodak (ProPhoto)
-    /// published.
+    /// XYZ of red, green and blue, adapted to D50, as in the profiles published by HP (sRGB), Adobe (Adobe RGB) and
+    /// Kodak (ProPhoto).
     const SRGB_D50: [[f64; 3]; 3] = [[0.4361, 0.2225, 0.0139], [0.3851, 0.7169, 0.0971], [0.1431, 0.0606, 0.7141]];
     const ADOBE_D50: [[f64; 3]; 3] = [[0.6097, 0.3111, 0.0195], [0.2053, 0.6257, 0.0609], [0.1492, 0.0632, 0.7446]];
     const PROPHOTO_D50: [[f64; 3]; 3] = [[0.7977, 0.2880, 0.0], [0.1352, 0.7119, 0.0], [0.0313, 0.0001, 0.8249]];
@@ -248,7 +250,7 @@ mod tests {
             right.chromatic_adaptation = Some(moxcms::Matrix3d { v: CHAD });
             right.media_white_point = Some(moxcms::Xyzd { x: 0.9642, y: 1.0, z: 0.8249 });
             assert_close(primaries(right.encode().unwrap()), published);
-            // With Bradford's cone matrix in place of the adaptation matrix, as moxcms writes it.
+            // This `chad` tag contains Bradford's cone matrix instead of the adaptation matrix, as moxcms writes it.
             assert_close(primaries(profile.encode().unwrap()), published);
         }
     }

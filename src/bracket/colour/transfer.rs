@@ -1,8 +1,8 @@
 //! Transfer curves of colour profiles: pixel value to linear light.
 //!
 //! In: a profile, or none. Out: the linear value of a pixel value of each channel. Cost: at most one power per value.
-//! Source: ICC.1:2022, 10.6 (`curv`) and 10.18 (`para`); IEC 61966-2-1 where there is no profile, or the profile uses
-//! tables.
+//! Source: ICC.1:2022, 10.6 (`curv`) and 10.18 (`para`); IEC 61966-2-1 (sRGB) where there is no profile, or the profile
+//! uses tables.
 
 use super::{Profile, srgb_to_linear};
 use libm::pow;
@@ -12,7 +12,8 @@ use moxcms::{ColorProfile, ToneReprCurve};
 #[derive(Debug, Clone)]
 pub struct Transfer(Option<[ToneReprCurve; 3]>);
 
-/// Largest difference, as a fraction of white, between curves that count as equal: profiles round their curves.
+/// Curves whose values differ by less than this, as a fraction of white, count as equal, because profiles round their
+/// curves.
 const ROUNDING: f64 = 1e-3;
 
 impl Transfer {
@@ -34,7 +35,7 @@ impl Transfer {
         }
     }
 
-    /// Whether both decode 8-bit values to the same light within the rounding of profiles.
+    /// Whether both curves decode every 8-bit value to the same light, within the rounding of profiles.
     pub fn is_close(&self, other: &Transfer) -> bool {
         let codes = || (0..=255).map(|code| f64::from(code) / 255.0);
         (0..3).all(|c| codes().all(|x| (self.light(c, x) - other.light(c, x)).abs() < ROUNDING))
@@ -49,11 +50,11 @@ impl Transfer {
 /// A transfer curve from which [`Profile::of`] makes a profile.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Curve {
-    /// IEC 61966-2-1.
+    /// The sRGB curve (IEC 61966-2-1).
     Srgb,
-    /// The inverse of the camera curve that ITU-R BT.601, BT.709 and BT.2020 share.
+    /// The inverse of the camera curve that BT.601, BT.709 and BT.2020 of ITU-R share.
     Bt709,
-    /// Linear light is the pixel value to this power.
+    /// Linear light is the pixel value raised to this power.
     Power(f64),
 }
 
@@ -83,7 +84,7 @@ fn evaluate(curve: &ToneReprCurve, x: f64) -> f64 {
         },
         ToneReprCurve::Parametric(numbers) => {
             let numbers: Vec<f64> = numbers.iter().map(|v| f64::from(*v)).collect();
-            // The parameters g, a, b, c, d, e, f of ICC.1:2022, table 68.
+            // g, a, b, c, d, e, f are the names of the parameters in ICC.1:2022, table 68.
             let (g, a, b, c, d, e, f) = match numbers[..] {
                 [g] => (g, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0),
                 [g, a, b] => (g, a, b, 0.0, -b / a, 0.0, 0.0),

@@ -2,7 +2,7 @@
 //!
 //! In: a TIFF block, and the index of the directory that describes the image. Out: the readable fields; those of the
 //! image are in [`In::PRIMARY`]. Cost: that of kamadak-exif, twice for blocks that must be reordered. Source: EXIF
-//! 2.32, section 4.6; TIFF/EP, which puts the exposure into the directory of the picture instead of the EXIF directory.
+//! 2.32, section 4.6; TIFF/EP, which puts the exposure into the directory of the image instead of the EXIF directory.
 
 use crate::bracket::metadata::carried::DESCRIPTIVE;
 use exif::experimental::Writer;
@@ -22,7 +22,7 @@ pub(super) fn parsed(raw: Vec<u8>, picture: u16) -> Option<Exif> {
 }
 
 fn read(raw: Vec<u8>) -> Option<Exif> {
-    // Many writers leave one bad entry; the others are still valid.
+    // Files often contain a single bad entry; the other entries are still valid and are kept.
     let parsed = catch_unwind(|| {
         exif::Reader::new().continue_on_error(true).read_raw(raw).or_else(|e| e.distill_partial_result(|_| ()))
     });
@@ -36,9 +36,9 @@ fn placed(tag: Tag) -> Tag {
     if is_displaced { of_exif } else { tag }
 }
 
-/// Writes a block with the fields of the directory `picture`, completed from the first directory. A field in its
-/// standard directory takes precedence over a displaced field with the same tag. Maker notes are left out because their
-/// offsets become invalid.
+/// Writes a block with the fields of the directory `picture`. Fields that this directory lacks are taken from the first
+/// directory. A field in its standard directory takes precedence over a displaced field with the same tag. Maker notes
+/// are left out because their offsets become invalid.
 fn in_order(exif: &Exif, picture: u16) -> Option<Vec<u8>> {
     let mut fields: BTreeMap<(u8, u16), Field> = BTreeMap::new();
     for (directory, displaced) in [(picture, false), (picture, true), (0, false), (0, true)] {

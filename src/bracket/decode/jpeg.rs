@@ -1,17 +1,22 @@
 //! Decodes JPEG files: baseline and progressive; grey, YCbCr, RGB, CMYK and Adobe's YCCK.
 //!
 //! In: the file. Out: 8-bit RGB, decoded by zune-jpeg without a copy. Cost: that of zune-jpeg (7 ns per pixel at
-//! 4:2:0), and one pass through the file. Three kinds of files are decoded by jpeg-decoder, which takes three times as
-//! long, because zune-jpeg 0.5.15 decodes them wrongly: sequential files with several scans, whose blocks it misplaces
-//! where chroma has fewer rows; files whose chroma is finer than luma; and files in which zune-jpeg interpolates the
-//! last chroma sample with the arbitrary padding behind the image. Source: ITU-T T.81 (annexes B, F, G), Adobe
-//! Technical Note 5116 for the APP14 marker, CIPA DC-007 (MPF) for the images that may follow the first one.
+//! 4:2:0), and one pass through the file. Source: ITU-T T.81 (annexes B, F, G), Adobe Technical Note 5116 for the APP14
+//! marker, CIPA DC-007 (MPF) for the images that may follow the first one.
 //!
-//! Decoders fill missing data with grey or noise, so the markers are checked first: the file must be complete up to the
-//! end of its first image. Further images (MPF previews, gain maps) and trailing bytes are cut off. A repair tool may
-//! have closed a truncated file with an end marker. To detect this, one bits are appended to the data of each
-//! sequential scan: a code of ones only is not a Huffman code (T.81, annex C), so a decoder that reads past the data of
-//! a scan fails. A progressive file must contain every bit of every coefficient.
+//! Three kinds of files are decoded by jpeg-decoder, which takes three times as long, because zune-jpeg 0.5.15 decodes
+//! them wrongly:
+//! - sequential files with several scans: zune-jpeg misplaces their blocks where chroma has fewer rows than luma;
+//! - files whose chroma has a higher resolution than luma;
+//! - files in which zune-jpeg interpolates between the last chroma sample and the padding behind the image, which is
+//!   arbitrary.
+//!
+//! Decoders fill missing data with grey or noise, so the markers are checked before decoding: the file must be complete
+//! up to the end of its first image. Further images (MPF previews, gain maps) and trailing bytes are cut off.
+//!
+//! A repair tool may have added an end marker to a truncated file. To detect this, bits of value 1 are appended to the
+//! data of each sequential scan. A code that consists only of ones is not a Huffman code (T.81, annex C), so a decoder
+//! that reads past the data of a scan fails. A progressive file must contain every bit of every coefficient.
 
 mod layout;
 
@@ -29,11 +34,11 @@ use zune_jpeg::zune_core::options::DecoderOptions;
 
 const END: [u8; 2] = [0xFF, 0xD9];
 
-/// 64 one bits of entropy-coded data, longer than any Huffman code and the value bits after it. Each 0xFF is followed
-/// by a zero byte (T.81, F.1.2.3).
+/// Entropy-coded data of 64 bits of value 1, which is longer than any Huffman code and the value bits after it. Each
+/// 0xFF is followed by a zero byte (T.81, F.1.2.3).
 const ONES: [u8; 16] = [0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0, 0xFF, 0];
 
-/// Maximum number of scans: encoders write about ten, and each scan takes a pass over the whole image.
+/// Maximum number of scans. Encoders write about ten, and decoding takes a pass over the whole image for each scan.
 const MOST_SCANS: usize = 200;
 
 const UNSUPPORTED_COLOUR: &str = "its kind of colour components is not supported; save it as RGB or grey";
@@ -42,7 +47,7 @@ const UNSUPPORTED_COLOUR: &str = "its kind of colour components is not supported
 pub(super) fn decode(mut bytes: Vec<u8>, limits: &Limits) -> Result<Stored, Reason> {
     let mut layout = Layout::of(&bytes)?;
     if !layout.junk.is_empty() {
-        // Padding between segments is harmless, but strict decoding rejects it.
+        // Padding between segments is harmless, but strict decoding rejects it, so it is removed.
         bytes = without(&bytes, &layout.junk);
         layout = Layout::of(&bytes)?;
     }
@@ -61,8 +66,8 @@ pub(super) fn decode(mut bytes: Vec<u8>, limits: &Limits) -> Result<Stored, Reas
     // resolution of another along each axis.
     limits::check_length(bytes.len(), pixels, 64 * 8 * 16)?;
     let is_beyond_zune = layout.is_beyond_zune();
-    // Held in memory: the output (RGB, or CMYK and RGB), all coefficients of a progressive file with 2 bytes each, and
-    // all components where jpeg-decoder is used.
+    // Held in memory: the output (RGB, or CMYK and RGB); for a progressive file, all coefficients with 2 bytes each;
+    // and where jpeg-decoder is used, all components with 1 byte per pixel.
     let kept = if layout.progressive { 2 } else { 0 } + u64::from(is_beyond_zune);
     let components = layout.sampling.len();
     let rgb = if components == 4 { 4 + 3 } else { 3 };
@@ -118,7 +123,7 @@ pub(super) fn decode(mut bytes: Vec<u8>, limits: &Limits) -> Result<Stored, Reas
     })
 }
 
-/// Decodes, with jpeg-decoder, a file that zune-jpeg decodes wrongly. The result is RGB, and for `plain_cmyk` CMYK that
+/// Decodes, with jpeg-decoder, a file that zune-jpeg decodes wrongly. The result is RGB, or, if `plain_cmyk`, CMYK that
 /// is not inverted. `space` is the colour space of the file. Parallel work runs in the current thread pool.
 fn by_jpeg_decoder(bytes: &[u8], space: ColorSpace, plain_cmyk: bool) -> Result<Vec<u8>, Reason> {
     let transform = match space {
@@ -140,7 +145,7 @@ fn by_jpeg_decoder(bytes: &[u8], space: ColorSpace, plain_cmyk: bool) -> Result<
     };
     let pixels = decoder.decode().map_err(refused)?;
     Ok(match space {
-        // jpeg-decoder inverts all CMYK, as for Adobe files.
+        // jpeg-decoder inverts CMYK in all files, as if they had Adobe's marker; this is undone here.
         ColorSpace::CMYK | ColorSpace::YCCK if plain_cmyk => pixels.into_iter().map(|ink| 255 - ink).collect(),
         ColorSpace::CMYK | ColorSpace::YCCK => cmyk_to_rgb(&pixels, 255),
         _ => pixels,

@@ -45,7 +45,8 @@ fn turn<T: Copy>(stored: &[T], width: usize, height: usize, orientation: u32) ->
 mod tests {
     use super::*;
 
-    /// For each orientation, the displayed side of the stored row 0 and column 0, in the words of the standard.
+    /// For each orientation, the side on which row 0 and column 0 of the stored image are displayed, in the words of
+    /// EXIF 2.32.
     const STANDARD: [(u32, &str, &str); 8] = [
         (1, "top", "left"),
         (2, "top", "right"),
@@ -59,7 +60,7 @@ mod tests {
 
     #[test]
     fn each_orientation_is_the_standards() {
-        // Stored: row 0 has red 1, column 0 has green 1, on a 4 x 3 picture.
+        // In the stored picture of 4 x 3 pixels, red is 1 in row 0, and green is 1 in column 0.
         let (width, height) = (4, 3);
         let stored: Vec<u8> = (0..height)
             .flat_map(|y| (0..width).flat_map(move |x| [u8::from(y == 0), u8::from(x == 0), (10 * y + x) as u8]))

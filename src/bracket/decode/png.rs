@@ -16,8 +16,8 @@ use std::io::{BufReader, Cursor, Read, Seek};
 /// Decodes a PNG file. Checksums are checked up to the end of the file.
 pub(super) fn decode(bytes: &[u8], allowed: &Allowed) -> Result<Stored, Reason> {
     let damaged = |e: png::DecodingError| format!("{e}; copy the file again");
-    // Limits the memory for everything but the image: the profile, which is compressed and may have any size, the EXIF,
-    // and a few rows.
+    // This limits the memory for everything except the image: the profile, which is compressed and may expand to any
+    // size, the EXIF, and a few rows.
     let mut decoder = Decoder::new_with_limits(Cursor::new(bytes), Limits { bytes: MOST_BESIDE });
     decoder.set_transformations(Transformations::EXPAND);
     decoder.set_ignore_text_chunk(true);
@@ -28,10 +28,14 @@ pub(super) fn decode(bytes: &[u8], allowed: &Allowed) -> Result<Stored, Reason> 
     let pixels = width as u64 * height as u64;
     let bits = header.bits_per_pixel() as u64;
     limits::check_length(bytes.len(), pixels * bits / 8, DEFLATE)?;
-    let (bytes_each, channels) = (if header.bit_depth == BitDepth::Sixteen { 2 } else { 1 }, 1 + bits.div_ceil(8));
-    // At the peak, memory holds the decompressed bytes, for 16 bits also a copy of them as words, and the pixels as
-    // RGB. `channels` leaves room for an alpha channel that a tRNS chunk adds.
-    let needed = pixels * bytes_each * (channels.max(3) + 3) + bytes.len() as u64;
+    // At the peak, memory holds the decompressed samples, for 16 bits also a copy of them as words, and the pixels as
+    // RGB. A tRNS chunk adds an alpha channel; a palette is expanded to RGB, with alpha if it has a tRNS chunk.
+    let channels = match header.color_type {
+        ColorType::Indexed => 4,
+        other => other.samples() as u64 + 1,
+    };
+    let (bytes_each, copies) = if header.bit_depth == BitDepth::Sixteen { (2, 2) } else { (1, 1) };
+    let needed = pixels * bytes_each * (copies * channels + 3) + bytes.len() as u64;
     allowed.check_memory((width, height), needed)?;
     let mut reader = decoder.read_info().map_err(damaged)?;
     let size = reader.output_buffer_size().ok_or("it is too large for this machine")?;
@@ -59,8 +63,8 @@ pub(super) fn decode(bytes: &[u8], allowed: &Allowed) -> Result<Stored, Reason> 
         );
     }
     let info = reader.info();
-    // The png crate ignores a profile that it cannot decompress; then an empty profile is returned, which is reported
-    // as damaged.
+    // The png crate ignores a profile that it cannot decompress. An empty profile takes its place here, which is
+    // reported as damaged later.
     let begin = bytes.windows(4).position(|kind| kind == b"IDAT").unwrap_or(0);
     let has_profile = bytes[..begin].windows(4).any(|kind| kind == b"iCCP");
     let embedded = info.icc_profile.as_ref().map(|i| i.to_vec()).or(has_profile.then(Vec::new));
@@ -85,17 +89,19 @@ const MOST_BESIDE: usize = 64 << 20;
 /// Maximum size in bytes of an EXIF chunk.
 const MOST_EXIF: u32 = 1 << 20;
 
-/// Reads the size, the EXIF and the writing program by seeking from chunk to chunk.
+/// Reads the size, the EXIF and the name of the writing program, by seeking from chunk to chunk.
 pub(super) fn head<R: Read + Seek>(reader: &mut BufReader<R>) -> Result<Found, Reason> {
     let damaged = |_| Reason::from("it ends before the picture (truncated); copy the file again");
     reader.seek_relative(8).map_err(damaged)?;
     let mut found: Option<Found> = None;
-    // An eXIf chunk takes precedence over a raw profile; of several of the same kind, the first is used.
+    // An eXIf chunk takes precedence over a "Raw profile type exif" text chunk; of several of the same kind, the first
+    // is used.
     let mut raw_profile = None;
     loop {
         let mut head = [0; 8];
         let read = reader.read_exact(&mut head);
-        // EXIF may follow the image data, so all chunks are read; a file cut off in the image data still has a size.
+        // EXIF may follow the image data, so all chunks are read. If the file is cut off after its size, the data found
+        // so far is returned.
         let is_end = read.is_err() || &head[4..] == b"IEND";
         match (read, found.take()) {
             (_, Some(so_far)) if is_end => return Ok(Found { exif: so_far.exif.or(raw_profile), ..so_far }),
@@ -106,7 +112,7 @@ pub(super) fn head<R: Read + Seek>(reader: &mut BufReader<R>) -> Result<Found, R
         let is_wanted = match &head[4..] {
             b"IHDR" => length >= 13,
             b"eXIf" => length <= MOST_EXIF,
-            // Raw profiles have two digits per byte of EXIF, and line ends.
+            // Raw profiles have two digits per byte of EXIF, plus line ends.
             b"tEXt" | b"zTXt" | b"iTXt" => length <= 3 * MOST_EXIF,
             _ => false,
         };
@@ -141,7 +147,7 @@ pub(super) fn head<R: Read + Seek>(reader: &mut BufReader<R>) -> Result<Found, R
     }
 }
 
-/// Returns the keyword and the text of a text chunk of the given kind.
+/// Returns the keyword and the text in the `content` of a text chunk; `kind` is tEXt, zTXt or iTXt.
 fn text<'a>(kind: &[u8], content: &'a [u8]) -> Option<(&'a [u8], Vec<u8>)> {
     let cut = |bytes: &'a [u8]| {
         let end = bytes.iter().position(|&b| b == 0)?;

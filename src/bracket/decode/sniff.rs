@@ -48,7 +48,7 @@ const OTHERS: [(&[u8], &str); 22] = [
     (b"\0\0\0\0", "only zeros; copy the file again"),
 ];
 
-/// Returns the format of `bytes`, or as an error what else they look like.
+/// Returns the format of `bytes`. If it is not supported, the error describes what `bytes` look like instead.
 pub(super) fn format(bytes: &[u8]) -> Result<Format, String> {
     if bytes.starts_with(b"\xff\xd8\xff") {
         return Ok(Format::Jpeg);
@@ -58,7 +58,8 @@ pub(super) fn format(bytes: &[u8]) -> Result<Format, String> {
     }
     let tiff = [b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"].iter().any(|magic| bytes.starts_with(*magic));
     if tiff {
-        // Canon CR2 has a mark in the header; other raw formats are recognised by their tags.
+        // A Canon CR2 file is recognised by "CR" in its header; other raw formats based on TIFF are recognised later by
+        // their tags.
         return if bytes.get(8..10) == Some(b"CR") { Err("camera raw (Canon CR2)".into()) } else { Ok(Format::Tiff) };
     }
     Err(other(bytes).into())
@@ -84,7 +85,7 @@ fn other(bytes: &[u8]) -> &'static str {
     }
     let head = &bytes[..bytes.len().min(512)];
     let printable = |b: u8| b >= 0x20 || matches!(b, b'\t' | b'\n' | b'\r' | 0x0c);
-    // A multi-byte character cut off at the end of the head is still text.
+    // Text is still text if the end of `head` cuts a multi-byte character in two.
     let utf8 = match std::str::from_utf8(head) {
         Ok(_) => true,
         Err(e) => e.error_len().is_none(),

@@ -42,7 +42,7 @@ fn header_of_a_file_that_is_not_a_photograph_is_an_error() {
     assert_eq!(refused(&jpeg(&scene(8, 8), 8)), "");
 }
 
-/// A picture with detail, so that its JPEG has data everywhere.
+/// Returns a picture with detail everywhere, so that its JPEG has data everywhere.
 pub(in crate::bracket) fn scene(width: usize, height: usize) -> Vec<u8> {
     let noise = |x: usize, y: usize, c: usize| (x * 37 + y * 91 + c * 53) * (x + 3 * y + 7) % 61;
     (0..height)
@@ -206,7 +206,7 @@ fn exif_turns_jpeg_png_and_tiff() {
     picture.encoder().write_tag(::tiff::tags::Tag::Orientation, 6u16).unwrap();
     picture.write_data(&rgb).unwrap();
     let decoded = read(&tiff.into_inner()).unwrap();
-    // Seen upright, the stored bottom left corner is at the top left.
+    // In the upright picture, the bottom left corner of the stored picture is at the top left.
     assert_eq!((decoded.width, decoded.height), (16, 32));
     assert_eq!(eight(Ok(decoded))[..3], rgb[3 * 32 * 15..][..3]);
     // The `image` crate interprets orientation 6 in the same way.

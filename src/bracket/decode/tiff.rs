@@ -41,8 +41,8 @@ pub(super) fn decode(mut bytes: Vec<u8>, allowed: &Allowed) -> Result<Stored, Re
     let compression = decoder.find_tag_unsigned::<u32>(Tag::Compression).ok().flatten().unwrap_or(1);
     let packed = pixels.saturating_mul(kind.samples * kind.depth) / 8;
     limits::check_length(bytes.len(), packed, limits::tiff_packing(compression))?;
-    // There are three versions of the samples: as stored, then without extra samples, then as RGB. Memory holds two of
-    // them at a time.
+    // There are three versions of the samples: first as stored, then without extra samples, then as RGB. At any time,
+    // memory holds at most two of them.
     let wanted = kind.colour.samples();
     let (each, stored) = (kind.depth.div_ceil(8), pixels.saturating_mul(kind.samples * kind.depth.div_ceil(8)));
     let needed = stored.saturating_add(pixels * each * wanted.max(3) as u64 + bytes.len() as u64);
@@ -70,7 +70,7 @@ pub(super) fn decode(mut bytes: Vec<u8>, allowed: &Allowed) -> Result<Stored, Re
         height,
         samples,
         decoding: needed,
-        // kamadak-exif reads no BigTIFF.
+        // kamadak-exif cannot read BigTIFF (version number 43).
         exif: Some(bytes).filter(|b| !b[2..4].contains(&43)),
         directory: picture.index as u16,
         icc,
@@ -79,7 +79,7 @@ pub(super) fn decode(mut bytes: Vec<u8>, allowed: &Allowed) -> Result<Stored, Re
     })
 }
 
-/// Rejects camera raw files, which are TIFF files with a thumbnail or a sensor mosaic.
+/// Rejects camera raw files: TIFF files that contain a sensor mosaic or only thumbnails, and DNG files.
 fn refuse_raw(picture: Picture) -> Result<(), Reason> {
     if picture.is_raw {
         return Err("it looks like a camera raw file (DNG, NEF, ARW, ...); develop it first, with the same settings for all frames".into());
@@ -98,7 +98,7 @@ struct Kind {
 }
 
 impl Kind {
-    /// Reads the kind of the current image of `decoder`, whose photometric interpretation is given.
+    /// Reads the kind of the current image of `decoder`. `photometric` is the photometric interpretation of the image.
     fn of<R: Read + Seek>(decoder: &mut Decoder<R>, photometric: Option<u16>) -> Result<Kind, Reason> {
         let mut numbers = |tag| decoder.find_tag_unsigned_vec::<u16>(tag).ok().flatten().unwrap_or_default();
         // 3 is "floating point" (TIFF 6.0, section 19).
@@ -126,7 +126,7 @@ impl Kind {
                 "its {samples} of {depth} bits are not supported; save it as grey or RGB with 8 or 16 bits"
             ));
         }
-        // Programs take the first extra sample as alpha where ExtraSamples does not describe it.
+        // If ExtraSamples does not describe the extra samples, programs use the first of them as alpha.
         let extra = usize::from(samples).saturating_sub(colour.samples());
         let described = numbers(Tag::ExtraSamples);
         let has_alpha = extra > described.len() || described.iter().any(|kind| matches!(kind, 1 | 2));
@@ -137,10 +137,10 @@ impl Kind {
 /// Colour model of the samples of a pixel, without extra samples.
 enum Colour {
     Grey,
-    /// 0 is white.
+    /// Grey whose value 0 is white.
     InverseGrey,
     Rgb,
-    /// All reds, then all greens, then all blues.
+    /// The colour map: all red values, then all green values, then all blue values.
     Palette(Vec<u16>),
     Cmyk,
 }
@@ -207,22 +207,22 @@ pub(super) fn head<R: Read + Seek>(mut reader: R, wanted: &[exif::Tag]) -> Resul
     let photometric = decoder.find_tag_unsigned::<u16>(Tag::PhotometricInterpretation).ok().flatten();
     refused = refused.or(Kind::of(&mut decoder, photometric).err());
     let depth = depths.first().map_or(8, |&bits| bits.clamp(8, 64) as u8);
-    // Also for BigTIFF, whose EXIF is not read.
+    // This tag is also read from a BigTIFF, whose EXIF is not read.
     let software = decoder.get_tag_ascii_string(Tag::Software).ok();
     let exif = if is_big(&mut decoder) { None } else { fields(&mut decoder, first, wanted) };
     Ok(Found { width: width as usize, height: height as usize, depth, exif, software, refused })
 }
 
-/// Whether the file is a BigTIFF, whose EXIF kamadak-exif, and so `decode`, does not read.
+/// Whether the file is a BigTIFF. `decode` does not read the EXIF of a BigTIFF either, because kamadak-exif cannot.
 fn is_big<R: Read + Seek>(decoder: &mut Decoder<R>) -> bool {
     let mut head = [0; 4];
     let reader = decoder.inner();
     reader.rewind().and_then(|()| reader.read_exact(&mut head)).is_ok() && head[2..].contains(&43)
 }
 
-/// Returns the `wanted` fields of the image as a TIFF block. A field that the image lacks, other than the orientation,
-/// is taken from the directory `first`. In either directory, a tag that EXIF defines for the EXIF directory is looked
-/// for first in the EXIF directory that it points to, then in the directory itself.
+/// Returns the `wanted` fields of the image as a TIFF block. A field that the directory of the image lacks is taken
+/// from the directory `first`, except for the orientation. In either case, a tag that EXIF defines for the EXIF
+/// directory is first searched for in the EXIF directory that this directory points to, then in this directory itself.
 fn fields<R: Read + Seek>(
     decoder: &mut Decoder<R>,
     first: Option<IfdPointer>,

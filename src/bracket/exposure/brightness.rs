@@ -1,20 +1,21 @@
 //! Estimates exposure steps from the pixels, for frames with missing or impossible exposures in EXIF.
 //!
 //! In: the pixel values of all frames. Out: exposures in EV up to a common offset, with error estimates; and whether
-//! the exposures in EXIF are possible. Cost: one histogram per frame over a quarter of its pixels, and per pair of
-//! neighbours in brightness a search on coarse images and fits to 256-entry tables.
+//! the exposures in EXIF are possible. Cost: one histogram per frame over a quarter of its pixels; for each pair of
+//! neighbours in brightness, a search on coarse images and fits to 256-entry tables.
 //!
 //! Two frames of a static scene rank its points equally, so equal ranks in their histograms are equal radiances
 //! (Grossberg and Nayar, "Determining the camera response from images: what is knowable?", PAMI 2003, section 5). The
 //! green channel of the overlap is used ([`mod@overlap`]), at every pixel value of the darker frame that is well
-//! exposed in both ([`histogram`]). Frames are chained in order of brightness. Matches do not determine the response
-//! completely; the rest comes from prior distributions of camera curves ([`curve`]) and of the steps that cameras are
-//! set to ([`steps`]).
+//! exposed in both frames ([`histogram`]). Frames are chained in order of brightness. The matched pixel values do not
+//! determine the response completely. What they leave open is taken from prior distributions of camera curves
+//! ([`curve`]) and of the steps that cameras are set to ([`steps`]).
 //!
-//! Measured: for 14 camera brackets, each estimated with curves that were fitted to the other brackets, the median
-//! error of the total span is 1 %; two are off by more than 5 %: by 7 and 17 %. For renderings with the sRGB curve the
-//! median error is 0.2 %, and at most 5 % where no frame is moved. Pairs with curves of negative film have errors of 1
-//! to 30 %, depending on the curve; slides, twice as contrasty, are mistaken for camera images.
+//! Measured: 14 camera brackets were estimated, each with curves that were fitted to the other brackets. The median
+//! error of the total span is 1 %; only two brackets have errors of more than 5 %, which are 7 and 17 %. For renderings
+//! with the sRGB curve, the median error is 0.2 %, and the largest is 5 % where no frame is moved. Pairs with curves of
+//! negative film have errors of 1 to 30 %, depending on the curve. Slides, which are twice as contrasty, are mistaken
+//! for camera images.
 
 mod contradiction;
 mod curve;
@@ -30,7 +31,8 @@ use steps::Steps;
 
 pub use contradiction::{at_odds, contradiction};
 
-/// Relative standard deviation that is assumed for a step estimated from the pixels when it is compared with EXIF.
+/// Standard deviation of a step estimated from the pixels, relative to the step. It is assumed when the step is
+/// compared with EXIF.
 const CAMERAS: f64 = 0.12;
 /// Exposure steps below this, in EV, count as no step.
 const STEP: f64 = 0.2;
@@ -54,20 +56,21 @@ impl Brightness {
         Brightness { histogram: Histogram::of(samples, width), view }
     }
 
-    /// Whether both have the same histogram.
+    /// Whether both frames have the same histogram.
     pub fn is_like(&self, other: &Brightness) -> bool {
         self.histogram.counts == other.histogram.counts
     }
 }
 
-/// Matches the pixel values of both frames that have equal radiance; `None` where there are too few matches.
+/// Finds the pairs of a pixel value of `dark` and a pixel value of `bright` that show equal radiance; `None` where
+/// there are too few pairs.
 fn matches(dark: &Brightness, bright: &Brightness) -> Option<Pair> {
     let shared = overlap(&dark.view, &bright.view).map(|shared| shared.map(Histogram::from));
     let shared = shared.and_then(|[dark, bright]| histogram::matches(&dark, &bright));
     shared.or_else(|| histogram::matches(&dark.histogram, &bright.histogram))
 }
 
-/// Estimates the step from `dark` to `bright` in EV; `None` where nothing is well exposed in both.
+/// Estimates the step from `dark` to `bright` in EV; `None` where nothing is well exposed in both frames.
 fn step(dark: &Brightness, bright: &Brightness) -> Option<f64> {
     steps::of(&[matches(dark, bright)?])?.means.first().copied()
 }
@@ -94,15 +97,16 @@ impl Estimate {
         self.steps.variance(a.min(b)..a.max(b)).sqrt()
     }
 
-    /// Returns the standard deviation of the exposure difference between the darkest and the brightest frame, relative
-    /// to this difference.
+    /// Returns the standard deviation of the exposure difference between the darkest and the brightest frame, divided
+    /// by this difference.
     pub fn uncertainty(&self) -> f64 {
         self.steps.variance(0..self.steps.means.len()).sqrt() / spread(&self.evs).max(STEP)
     }
 }
 
-/// Estimates the exposures of `frames`, in their order. `None` where neighbours in brightness cannot be compared. Ties
-/// in brightness are resolved by index, so pass frames in an order that does not depend on the command line.
+/// Estimates the exposures of `frames`, in their order. `None` where two neighbours in brightness cannot be compared.
+/// Frames of equal brightness are ordered by index, so pass frames in an order that does not depend on the command
+/// line.
 pub fn estimate(frames: &[&Brightness]) -> Option<Estimate> {
     let order = by_brightness(frames);
     let pairs: Vec<Pair> =
@@ -130,7 +134,7 @@ pub fn spread(evs: &[f64]) -> f64 {
     if evs.is_empty() { 0.0 } else { largest - least }
 }
 
-/// Whether all exposures differ by less than `STEP`, the smallest exposure step.
+/// Whether all exposures differ by less than `STEP`, so that they count as equal.
 pub fn all_alike(evs: &[f64]) -> bool {
     spread(evs) < STEP
 }

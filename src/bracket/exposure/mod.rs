@@ -17,9 +17,9 @@ use serde::Serialize;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ExposureSource {
-    /// EXIF tags of the file.
+    /// Read from the EXIF tags of the file.
     Exif,
-    /// The `-e` list of the user.
+    /// Given by the user with `-e`.
     Given,
     /// Estimated from the pixels, because the file has no exposure or one that contradicts the pixels.
     Estimated,
@@ -30,15 +30,14 @@ pub enum ExposureSource {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Reading {
-    /// As they are written.
+    /// The values are used as they are written.
     AsWritten,
-    /// As the exact steps that were rounded to the written values: 1/32 s for 1/30 s, f/11.31 for f/11, ISO 252 for ISO
-    /// 250.
+    /// The written values are rounded, and the exact steps that they stand for are used: 1/32 s for 1/30 s, f/11.31 for
+    /// f/11, ISO 252 for ISO 250.
     ExactSteps,
 }
 
-/// Largest absolute exposure in EV, relative to t * ISO / N^2 = 1 s. No camera goes further; below 2^-40 s radiance
-/// leaves the range of a half-float.
+/// Largest magnitude of an exposure in EV, where 0 EV is t * ISO / N^2 = 1 s. No camera goes further.
 pub const MOST_EV: f64 = 40.0;
 
 /// How a frame was exposed.
@@ -52,8 +51,8 @@ pub struct Exposure {
     pub iso: Option<f64>,
     relative: f64,
     correction_stops: f64,
-    /// Standard deviation, in stops, of the difference from the nearest known exposure; `None` where this exposure was
-    /// not estimated.
+    /// Standard deviation, in stops, of the difference between this exposure and the nearest known exposure of the
+    /// bracket; `None` where this exposure was not estimated.
     pub uncertainty_stops: Option<f64>,
     /// How the values were interpreted.
     pub reading: Reading,
@@ -71,8 +70,8 @@ impl Exposure {
         Some(Exposure::new(positive(libm::exp2(ev))?, ExposureSource::Given, "-e".into()))
     }
 
-    /// Returns an exposure of `ev` stops that was estimated from the pixels with this standard deviation. `None` where
-    /// 2^`ev` is not positive and finite.
+    /// Returns an exposure of `ev` stops that was estimated from the pixels with the standard deviation
+    /// `uncertainty_stops`. `None` where 2^`ev` is not positive and finite.
     pub fn estimated(ev: f64, uncertainty_stops: f64) -> Option<Self> {
         let exposure = Exposure::new(positive(libm::exp2(ev))?, ExposureSource::Estimated, String::new());
         Some(Exposure { uncertainty_stops: Some(uncertainty_stops), ..exposure })
@@ -112,7 +111,7 @@ impl Exposure {
         }
     }
 
-    /// Correction from the pixels, in stops; included in the relative exposure.
+    /// Sum of the corrections, in stops; [`relative`](Self::relative) includes it.
     pub fn correction_stops(&self) -> f64 {
         self.correction_stops
     }
@@ -132,9 +131,9 @@ impl Exposure {
 /// Computes the exposures of a bracket from the tags of its frames, in their order; `None` for a frame whose tags do
 /// not suffice. Also returns the assumptions made, as (frame index, text).
 ///
-/// Where all frames have nominal values (dial markings), these are replaced by the exact steps that they stand for. An
-/// f-number or ISO that is missing in all frames counts as a factor of 1. Where it is missing in some frames only, the
-/// value of the other frames is assumed if they agree; if they differ, the frame's exposure is missing.
+/// If all frames have nominal values (dial markings), these are replaced by the exact steps that they stand for. An
+/// f-number or ISO that is missing in all frames counts as a factor of 1. If it is missing in some frames only, the
+/// value of the other frames is assumed where these agree; where they differ, the exposure of the frame is missing.
 pub fn by_tags(tags: &[ExposureTags]) -> (Vec<Option<Exposure>>, Vec<(usize, String)>) {
     let (mut exposures, assumed) = as_written(tags);
     if let Some(exact) = nominal::exact(tags) {
@@ -168,12 +167,12 @@ fn as_written(tags: &[ExposureTags]) -> (Vec<Option<Exposure>>, Vec<(usize, Stri
     (exposures, assumed)
 }
 
-/// The value shared by the frames that have one.
+/// The f-number or ISO of the frames that have one.
 #[derive(Clone, Copy)]
 enum Common {
     /// No frame has a value.
     Absent,
-    /// All values are equal.
+    /// All values are equal, within 1.5 %.
     Value(f64),
     /// The values differ.
     Varied,
@@ -182,14 +181,15 @@ enum Common {
 fn common(values: impl Iterator<Item = Tagged>) -> Common {
     values.flatten().fold(Common::Absent, |so_far, (v, _)| match so_far {
         Common::Absent => Common::Value(v),
-        // f/5.6 is written as 5.6, and as 5.657 in APEX: 1 % apart.
+        // f/5.6 is 5.6 in FNumber, and may be 5.657 in ApertureValue (APEX). These values differ by 1 % and count as
+        // equal.
         Common::Value(first) if (v - first).abs() <= 0.015 * first => so_far,
         _ => Common::Varied,
     })
 }
 
-/// Returns the value to use: `Some(None)` where all frames lack it, `None` where only this frame lacks it and the
-/// values of the others differ.
+/// Returns the value to use. `Some(None)` where all frames lack the value; `None` where this frame lacks it and the
+/// values of the other frames differ.
 fn fill(
     own: Tagged,
     others: Common,
@@ -236,7 +236,7 @@ mod tests {
         assert!(assumed.is_empty());
         assert_eq!(Exposure::given(-3.0).unwrap().relative(), 0.125);
         assert_eq!(Exposure::given(-3.0).unwrap().ev(), -3.0);
-        // The relative exposure, by which pixel values are divided, is never 0 and never infinite, whatever the camera
+        // Pixel values are divided by the relative exposure, so it must never be 0 or infinite, whatever the camera
         // wrote.
         let of = |time, f, iso| by_tags(&[tags(Some(time), Some(f), Some(iso))]).0[0].clone();
         assert_eq!(of(30.0, 1.0, 4_000_000.0).map(|e| e.ev().round()), Some(27.0));

@@ -1,56 +1,63 @@
 //! Exact exposure values for the nominal values (dial markings) that cameras write.
 //!
-//! In: the tags of a bracket. Out: the tags with exact values where all values are nominal, else nothing. Cost: a
-//! search in short tables. Source: the preferred numbers of ISO 2720 and of APEX (EXIF 2.32, annex C): times are powers
-//! of 2^(1/3) or 2^(1/2) s, f-numbers powers of the square roots of these, sensitivities 100 times a power of 2^(1/3).
-//! Nominal values are rounded: a shutter at 1/30 is open for 1/32 s, one at 15 s for 16 s, f/11 is 11.31, ISO 250 is
-//! 252. A Canon EOS that writes 1/30 s into ExposureTime writes 5, which is 1/32 s, into ShutterSpeedValue.
+//! In: the tags of a bracket. Out: the tags with exact values where the written values are nominal, else nothing. Cost:
+//! a search in short tables. Source: the preferred numbers of ISO 2720 and of APEX (EXIF 2.32, annex C): times are
+//! powers of 2^(1/3) or 2^(1/2) s, f-numbers are powers of the square roots of 2^(1/3) or 2^(1/2), sensitivities are
+//! 100 times a power of 2^(1/3).
 //!
-//! Measured or computed values must not be changed: phones write 1/33 s, 16666667/1000000000 s, f/1.79. So all times of
-//! the bracket must be nominal and on one series (thirds or halves of a stop), and either f-numbers and sensitivities
-//! must be nominal too, or ShutterSpeedValue must confirm the exact times.
+//! Nominal values are rounded: a shutter at 1/30 is open for 1/32 s, one at 15 s for 16 s, f/11 is 11.31, ISO 250 is
+//! 252. A Canon EOS that writes 1/30 s into ExposureTime confirms this: it writes 5, which is 1/32 s, into
+//! ShutterSpeedValue.
+//!
+//! Measured or computed values must not be changed: phones write 1/33 s, 16666667/1000000000 s, f/1.79. So exact values
+//! are used only if all times of the bracket are nominal and in one series (thirds or halves of a stop). In addition,
+//! either all f-numbers and sensitivities must be nominal, or ShutterSpeedValue must confirm the exact times.
 
 use super::{ExposureTags, Tagged};
 
-/// Nominal values of successive powers of 2^(1/3): times in seconds from 1 s up, and denominators of times below 1 s.
+/// Nominal values that stand for successive powers of 2^(1/3). They are times in seconds from 1 s up, and denominators
+/// of times below 1 s.
 const THIRDS: [f64; 43] = [
     1.0, 1.3, 1.6, 2.0, 2.5, 3.2, 4.0, 5.0, 6.0, 8.0, 10.0, 13.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 80.0,
     100.0, 125.0, 160.0, 200.0, 250.0, 320.0, 400.0, 500.0, 640.0, 800.0, 1000.0, 1250.0, 1600.0, 2000.0, 2500.0,
     3200.0, 4000.0, 5000.0, 6400.0, 8000.0, 10_000.0, 12_800.0, 16_000.0,
 ];
-/// Alternative markings of times: the value in seconds, and its number of thirds of a stop above 1 s.
+/// Alternative markings of times: the value in seconds, and the number of thirds of a stop by which it is above 1 s;
+/// negative below 1 s.
 const OTHER_THIRDS: [(f64, i32); 5] = [(0.8, -1), (0.6, -2), (0.3, -5), (1.0 / 3.0, -5), (3.0, 5)];
-/// Like [`THIRDS`] and [`OTHER_THIRDS`], but for powers of 2^(1/2) and halves of a stop.
+/// `HALVES` and `OTHER_HALVES` are like [`THIRDS`] and [`OTHER_THIRDS`], but in halves of a stop: powers of 2^(1/2).
 const HALVES: [f64; 27] = [
     1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 11.0, 15.0, 22.0, 30.0, 45.0, 60.0, 90.0, 125.0, 180.0, 250.0, 350.0, 500.0,
     750.0, 1000.0, 1500.0, 2000.0, 3000.0, 4000.0, 6000.0, 8000.0,
 ];
 const OTHER_HALVES: [(f64, i32); 6] = [(0.7, -1), (0.3, -3), (10.0, 7), (0.1, -7), (20.0, 9), (0.05, -9)];
-/// Nominal f-numbers from 1 up: `F_THIRDS` for successive powers of 2^(1/6), `F_HALVES` for those of 2^(1/4).
+/// Nominal f-numbers from 1 up. `F_THIRDS` stand for successive powers of 2^(1/6), `F_HALVES` for those of 2^(1/4).
 const F_THIRDS: [f64; 34] = [
     1.0, 1.1, 1.2, 1.4, 1.6, 1.8, 2.0, 2.2, 2.5, 2.8, 3.2, 3.5, 4.0, 4.5, 5.0, 5.6, 6.3, 7.1, 8.0, 9.0, 10.0, 11.0,
     13.0, 14.0, 16.0, 18.0, 20.0, 22.0, 25.0, 29.0, 32.0, 36.0, 40.0, 45.0,
 ];
 const F_HALVES: [f64; 21] =
     [1.0, 1.2, 1.4, 1.7, 2.0, 2.4, 2.8, 3.3, 4.0, 4.8, 5.6, 6.7, 8.0, 9.5, 11.0, 13.0, 16.0, 19.0, 22.0, 27.0, 32.0];
-/// Nominal sensitivities from ISO 25 up: successive powers of 2^(1/3).
+/// Nominal sensitivities from ISO 25 up. They stand for successive powers of 2^(1/3), times 25.
 const ISO_THIRDS: [f64; 37] = [
     25.0, 32.0, 40.0, 50.0, 64.0, 80.0, 100.0, 125.0, 160.0, 200.0, 250.0, 320.0, 400.0, 500.0, 640.0, 800.0, 1000.0,
     1250.0, 1600.0, 2000.0, 2500.0, 3200.0, 4000.0, 5000.0, 6400.0, 8000.0, 10_000.0, 12_800.0, 16_000.0, 20_000.0,
     25_600.0, 32_000.0, 40_000.0, 51_200.0, 64_000.0, 80_000.0, 102_400.0,
 ];
 
-/// Relative tolerance for matching a nominal value: decimals are truncated (333/10000 s), and neighbouring nominal
-/// values are 20 % apart.
+/// Relative tolerance for matching a nominal value. Written decimals are truncated: 333/10000 s is 0.1 % below 1/30 s.
+/// Neighbouring nominal values differ by 7 % or more.
 const SAME: f64 = 2e-3;
-/// Tolerance in stops for ShutterSpeedValue to confirm the exact time. Some cameras round it to eighths of a stop. The
-/// error of this rounding is at most 0.0625 stops, and for multiples of a third of a stop at most 0.042.
+/// Largest difference in stops between ShutterSpeedValue and the exact time for which the exact time is confirmed. Some
+/// cameras round ShutterSpeedValue to eighths of a stop. This changes multiples of a third of a stop by at most 0.042
+/// stops, and other values by at most 0.0625 stops.
 const CONFIRMED: f64 = 0.05;
-/// Smallest difference in stops between ShutterSpeedValue and the nominal time that shows the latter to be rounded:
-/// 1/30 and 1/32 are 0.093 apart.
+/// Smallest difference in stops between ShutterSpeedValue and the nominal time which shows that the nominal time is
+/// rounded: 1/30 s and 1/32 s differ by 0.093 stops.
 const APART: f64 = 0.06;
 
-/// Returns `written` with exact values if all of its values are nominal, else `None`.
+/// Returns `written` with exact values: exact times, and exact f-numbers and sensitivities where all of them are
+/// nominal. `None` unless the conditions at the top of this file are met.
 pub(super) fn exact(written: &[ExposureTags]) -> Option<Vec<ExposureTags>> {
     if !written.iter().all(|n| n.is_time_printed) {
         return None;
@@ -58,8 +65,8 @@ pub(super) fn exact(written: &[ExposureTags]) -> Option<Vec<ExposureTags>> {
     let times = of_series(written, |n| n.time_s, &[thirds_of_time, halves_of_time])?;
     let f_numbers = of_series(written, |n| n.f_number, &[thirds_of_f_number, halves_of_f_number]);
     let isos = of_series(written, |n| n.iso, &[thirds_of_iso]);
-    // An f-number that is not nominal, such as f/4.9, may be from a phone, whose times are not rounded, unless
-    // ShutterSpeedValue confirms the exact times.
+    // An f-number that is not nominal, such as f/4.9, may be from a phone, whose times are not rounded. Then exact
+    // times are used only if ShutterSpeedValue confirms them.
     if (f_numbers.is_none() || isos.is_none()) && !is_confirmed(written, &times) {
         return None;
     }
@@ -73,7 +80,7 @@ pub(super) fn exact(written: &[ExposureTags]) -> Option<Vec<ExposureTags>> {
 }
 
 /// Whether ShutterSpeedValue agrees with the exact time of every frame, and differs from the nominal time of at least
-/// one.
+/// one frame.
 fn is_confirmed(written: &[ExposureTags], times: &[Tagged]) -> bool {
     let off = |n: &ExposureTags, time: Tagged| Some((n.shutter_speed? + libm::log2(time?.0)).abs());
     let is_exact = |(n, time): (&ExposureTags, &Tagged)| off(n, *time).is_some_and(|stops| stops <= CONFIRMED);
@@ -105,7 +112,7 @@ fn index(value: f64, printed: &[f64]) -> Option<i32> {
     Some(printed.iter().position(|&p| is_same(value, p))? as i32)
 }
 
-/// Returns the index of a nominal time in a series, counted from 1 s.
+/// Returns the index of a nominal time in its series: 0 for 1 s, positive for longer times, negative for shorter ones.
 fn time_index(time: f64, printed: &[f64], others: &[(f64, i32)]) -> Option<i32> {
     let other = others.iter().find(|(p, _)| is_same(time, *p)).map(|(_, k)| *k);
     other.or_else(|| index(time, printed)).or_else(|| Some(-index(1.0 / time, printed)?))
@@ -152,8 +159,8 @@ mod tests {
 
     #[test]
     fn printed_numbers_are_rounded_steps() {
-        // No nominal time is farther from its exact value than 15, 30 and 60 from 16, 32 and 64: 6.7 %. F-numbers and
-        // ISO are nearer.
+        // The largest relative error of these nominal times is 6.7 %: 15, 30 and 60 stand for 16, 32 and 64. Nominal
+        // f-numbers and sensitivities have smaller errors.
         let near = |exact: Option<f64>, printed: f64, most: f64| (exact.unwrap() / printed - 1.0).abs() < most;
         for n in THIRDS {
             assert!(near(thirds_of_time(n), n, 0.068) && near(thirds_of_time(1.0 / n), 1.0 / n, 0.068), "{n}");
@@ -179,7 +186,7 @@ mod tests {
         assert_eq!(times(&[1.0 / 125.0, 1.0 / 30.0, 1.0 / 8.0, 30.0]), Some(powers(&[-7, -5, -3, 5])));
         let thirds = times(&[1.0 / 20.0, 1.0 / 80.0, 0.3]).unwrap();
         assert!((thirds[0] - 0.049606).abs() < 1e-6 && (thirds[2] - 0.314980).abs() < 1e-6);
-        // 1/6 s is 1/6.35 among thirds of a stop and 1/5.66 among halves.
+        // The marking 1/6 s stands for 1/6.35 s in the series of thirds of a stop, and for 1/5.66 s in that of halves.
         assert!((times(&[1.0 / 6.0, 1.0 / 60.0]).unwrap()[0] * 6.3496 - 1.0).abs() < 1e-4);
         assert!((times(&[1.0 / 6.0, 1.0 / 45.0]).unwrap()[0] * 5.6569 - 1.0).abs() < 1e-4);
         let stained_glass: Vec<_> =
@@ -206,7 +213,7 @@ mod tests {
         let with = |time, shutter_speed| ExposureTags { shutter_speed: Some(shutter_speed), ..frame(time, 4.9, 100.0) };
         let exact_tags = exact(&[with(1.0 / 30.0, 5.0), with(1.0 / 125.0, 7.0)]).unwrap();
         assert_eq!((exact_tags[0].time_s.unwrap().0, exact_tags[0].f_number.unwrap().0), (1.0 / 32.0, 4.9));
-        // A ShutterSpeedValue that was computed from the nominal time confirms nothing.
+        // A ShutterSpeedValue that was computed from the nominal time does not confirm the exact time.
         assert_eq!(exact(&[with(1.0 / 30.0, 4.907), with(1.0 / 125.0, 6.966)]), None);
     }
 }

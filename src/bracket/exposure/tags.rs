@@ -6,7 +6,7 @@
 use super::{Exposure, positive};
 use exif::{Exif, In, Tag, Value};
 
-/// A value and the name of the tag it was read from.
+/// A value and the name of the tag it was read from; `None` where the value is missing.
 pub type Tagged = Option<(f64, &'static str)>;
 
 /// The exposure tags of one file. A value that is 0, negative or not a number counts as missing.
@@ -31,7 +31,7 @@ impl ExposureTags {
     pub fn read(exif: &Exif) -> Self {
         let number = |tag: Tag| exif.get_field(tag, In::PRIMARY).and_then(|f| first_number(&f.value));
         let plain = |tag: Tag| number(tag).and_then(positive);
-        // APEX values beyond +-40 (10^12) are fill patterns, not exposures.
+        // APEX values beyond +-40, a factor of 10^12, are fill patterns and not exposures.
         let apex = |tag: Tag| number(tag).filter(|x| x.abs() <= 40.0);
         let shutter_speed = apex(Tag::ShutterSpeedValue);
         let time_s = plain(Tag::ExposureTime)
@@ -39,7 +39,7 @@ impl ExposureTags {
             .or_else(|| shutter_speed.map(|x| (libm::exp2(-x), "ShutterSpeedValue")));
         let is_time_printed = exif.get_field(Tag::ExposureTime, In::PRIMARY).is_some_and(|f| is_printed(&f.value));
         let f_number = plain(Tag::FNumber).map(|n| (n, "FNumber")).or_else(|| {
-            // 0 would be f/1, but cameras write it for a lens that they cannot read.
+            // An ApertureValue of 0 would be f/1, but cameras write 0 for a lens that they cannot read.
             let x = apex(Tag::ApertureValue).and_then(positive)?;
             Some((libm::exp2(x / 2.0), "ApertureValue"))
         });
@@ -50,8 +50,8 @@ impl ExposureTags {
             (Tag::StandardOutputSensitivity, "StandardOutputSensitivity"),
             (Tag::ExposureIndex, "ExposureIndex"),
         ];
-        // PhotographicSensitivity is 65535 where the sensitivity does not fit (EXIF 2.3); another tag then has the
-        // sensitivity.
+        // PhotographicSensitivity is 65535 where the sensitivity does not fit into it (EXIF 2.3). Another tag then
+        // contains the sensitivity.
         let is_overflow = |tag: Tag, s: f64| tag == Tag::PhotographicSensitivity && s == 65535.0;
         let iso = sensitivities
             .into_iter()
@@ -61,8 +61,8 @@ impl ExposureTags {
         ExposureTags { time_s, f_number, iso, is_time_printed, shutter_speed, flash }
     }
 
-    /// Returns the relative exposure in EV by these tags alone, as written. `None` without a time; other missing values
-    /// count as a factor of 1.
+    /// Returns the relative exposure in EV according to these tags alone, as written. `None` without a time; other
+    /// missing values count as a factor of 1.
     pub fn ev(&self) -> Option<f64> {
         let value = |tagged: Tagged| tagged.map(|(value, _)| value);
         let exposure = Exposure::from_camera(value(self.time_s)?, value(self.f_number), value(self.iso), String::new());
@@ -70,12 +70,12 @@ impl ExposureTags {
     }
 }
 
-/// Largest denominator of a dial marking: 1/16000 s written as 10/160000. Measured times have denominators of a million
-/// and more.
+/// Largest denominator of a dial marking: 1/16000 s may be written as 10/160000. Measured times have denominators of a
+/// million and more.
 const MAX_PRINTED_DENOMINATOR: u32 = 160_000;
 
-/// Whether a rational is a dial marking: few digits, and in lowest terms a whole number, one over a whole number, or
-/// tenths.
+/// Whether a rational is a dial marking: it has few digits, and in lowest terms it is a whole number, one over a whole
+/// number, or a number of tenths or its inverse.
 fn is_printed(value: &Value) -> bool {
     let Value::Rational(v) = value else { return false };
     let Some(r) = v.first().filter(|r| r.num > 0 && r.denom > 0) else { return false };
@@ -84,7 +84,7 @@ fn is_printed(value: &Value) -> bool {
         (a, b) = (b, a % b);
     }
     let (num, denom) = (r.num / a, r.denom / a);
-    // 1/1.3 s is 10/13, 1/2.5 s is 2/5.
+    // The last condition accepts 1/1.3 s, which is 10/13, and 1/2.5 s, which is 2/5.
     r.denom <= MAX_PRINTED_DENOMINATOR && (num == 1 || denom == 1 || 10 % denom == 0 || 10 % num == 0)
 }
 

@@ -2,9 +2,9 @@
 //!
 //! In: size, pixel values and brightness of each photograph. Out: the photographs whose pixels equal those of another.
 //! Exposures are not compared here: [`contradiction`] finds copies whose recorded exposure differs from that of the
-//! original. Cost: that of comparing histograms; pixels are compared only where these are equal.
+//! original. Cost: that of comparing histograms; pixels are compared only where the histograms are equal.
 //!
-//! Frames that are entirely underexposed or clipped may be equal without being copies, and are ignored.
+//! Frames that are entirely underexposed or clipped may be equal without being copies, so they are not searched.
 
 use crate::bracket::exposure::brightness::Brightness;
 use crate::bracket::window::Store;
@@ -24,7 +24,7 @@ pub(crate) struct Look<'a> {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Copied {
     copy: usize,
-    /// Index of the photograph with these pixels whose path sorts first.
+    /// Index of the original: of the photographs with these pixels, the one whose path sorts first.
     original: usize,
     path: PathBuf,
     other: PathBuf,
@@ -36,7 +36,7 @@ impl Copied {
     }
 }
 
-/// Returns the photographs that are copies of one whose path sorts before theirs, in the order of their paths.
+/// Returns each photograph that has the same pixels as one whose path sorts before its own. They are sorted by path.
 ///
 /// # Errors
 /// [`Error::Scratch`](crate::error::Error::Scratch) where the frames are on disk.
@@ -63,7 +63,7 @@ pub(crate) fn find(looks: &[Look]) -> Result<Vec<Copied>> {
     Ok(copies)
 }
 
-/// Number of rows compared at a time; bounds the memory for frames on disk.
+/// Number of rows compared at a time, which limits the memory needed for frames on disk.
 const AT_ONCE: usize = 64;
 
 fn is_copy(a: &Look, b: &Look) -> Result<bool> {

@@ -1,10 +1,11 @@
 //! Chooses the exposures of a bracket: from EXIF where it is consistent, else from the pixels.
 //!
-//! In: exposure tags and brightness of all frames. Out: an [`Exposure`] for each frame, and warnings. Cost: tables of
-//! 256 entries.
+//! In: exposure tags and brightness of all frames. Out: an [`Exposure`] for each frame, and warnings. Cost: that of
+//! operations on tables of 256 entries.
 //!
-//! EXIF is checked frame by frame. Where an exposure contradicts the others or is missing, the consistent exposures are
-//! used, and the exposure of each other frame is estimated from the pixels relative to the nearest consistent one.
+//! EXIF is checked frame by frame. An exposure in EXIF is used if it is consistent with the exposures of the other
+//! frames. If it is missing or contradicts them, the exposure is estimated from the pixels, relative to the frame with
+//! the nearest exposure among those whose EXIF is used.
 
 use super::super::exposure::{self, Exposure};
 use super::Picture;
@@ -54,7 +55,7 @@ pub(super) fn settle(
                 reason: format!("the exposures in the files contradict the pixels ({what}), and {reason}"),
             },
         };
-        // Where all files are copies of one photograph, their exposures are equal, and no estimate is needed.
+        // If all files are copies of one photograph, their true exposures are equal, and no estimate is needed.
         let is_one = missing.is_empty() && copies.len() + 1 == pictures.len();
         let estimate = match is_one {
             true => Some(Estimate::alike(order.len())),
@@ -96,12 +97,14 @@ pub(super) fn settle(
     Ok(exposures.into_iter().filter_map(|exposure| exposure.or_else(|| any.clone())).collect())
 }
 
-/// Combines exposures estimated from the pixels, which have an arbitrary common offset, with known exposures.
+/// Combines the exposures estimated from the pixels (`steps`), which have an arbitrary common offset, with exposures
+/// known from EXIF.
 struct Places<'a> {
     steps: &'a [f64],
-    /// For each accepted frame, its index in `steps` and the EV to add to its step. If no frame is accepted, there is
-    /// one entry: that of the frame with the median EV to add, among the frames that have an exposure in EXIF, or among
-    /// all frames if none has one.
+    /// For each frame whose exposure in EXIF is used, its index in `steps`, and the EV to add to its step to get this
+    /// exposure. If there is no such frame, `known` has one entry. It is then the frame with the median EV to add among
+    /// the frames that have an exposure in EXIF, or, if none has one, the frame with the median step, whose exposure
+    /// becomes 0 EV.
     known: Vec<(usize, f64)>,
 }
 
@@ -122,8 +125,8 @@ impl<'a> Places<'a> {
         Places { steps, known }
     }
 
-    /// Returns the index of the known frame nearest in exposure to the frame `at`, and the EV to add to the step of
-    /// `at`.
+    /// Returns the entry of `known` whose step is nearest to that of the frame with index `at` in `steps`: its index in
+    /// `steps`, and the EV to add to the step of `at`.
     fn anchor(&self, at: usize) -> (usize, f64) {
         let off = |place: &(usize, f64)| (self.steps[place.0] - self.steps[at]).abs();
         let nearest = self.known.iter().min_by(|a, b| off(a).total_cmp(&off(b)));

@@ -1,11 +1,13 @@
 //! Loads files as a bracket.
 //!
 //! In: paths and [`LoadOptions`]. Out: a [`Bracket`] and warnings. The result does not depend on the order of the
-//! paths, except through `-e` and a reference given by number. Cost: that of the decoders, one frame per thread.
+//! paths, except through `-e` and a reference given by number. Cost: that of the decoders, which run in parallel, one
+//! frame per thread.
 //!
-//! Exposures come from the user where given, else from EXIF; missing or impossible ones are estimated from the pixels.
-//! Frames lit by the flash are excluded if at least two others are not and no exposures are given, because they show a
-//! differently lit scene. A frame chosen as the reference is not excluded.
+//! Exposures are those given by the user, else those in EXIF. Where an exposure in EXIF is missing or contradicts the
+//! pixels, it is estimated from the pixels. Frames lit by the flash are excluded, because they show a differently lit
+//! scene, if at least two frames were taken without it and the user gives no exposures. A frame chosen as the reference
+//! is not excluded.
 
 pub(crate) mod copies;
 mod exposures;
@@ -37,7 +39,7 @@ pub struct LoadOptions {
     pub ev: Option<Vec<f64>>,
     /// The frame that the others are aligned to. Default: automatic.
     pub reference: ReferenceChoice,
-    /// Maximum number of pixels of a photograph; checked on its header. Default: [`Limits::MAX_PIXELS`].
+    /// Maximum number of pixels of a photograph; the header is checked. Default: [`Limits::MAX_PIXELS`].
     pub max_pixels: u64,
     /// Memory limit; frames that do not fit are moved to disk. Default: no limit.
     pub memory: Option<MemoryLimit>,
@@ -58,8 +60,8 @@ impl Default for LoadOptions {
 }
 
 impl LoadOptions {
-    /// Returns the limits for decoding one photograph; its memory is the part of the memory limit that is available for
-    /// pixels.
+    /// Returns the limits for decoding one photograph. Their memory is the part of the memory limit that is available
+    /// for pixels.
     pub fn limits(&self) -> Limits {
         Limits { max_pixels: self.max_pixels, memory: self.memory.as_ref().map(MemoryLimit::for_pixels) }
     }
@@ -93,7 +95,7 @@ pub fn load_with_progress(
 /// Same as [`load_with_progress`], for a bracket that goes through `stages`.
 ///
 /// # Errors
-/// As [`load`]; [`Error::Option`] where the stages do not fit into the memory limit.
+/// As [`load`]; [`Error::Option`] also where the stages do not fit into the memory limit.
 pub(crate) fn load_for(
     stages: &Stages,
     paths: &[PathBuf],
@@ -131,7 +133,7 @@ pub(crate) fn load_for(
     let (mut pictures, on_disk) = match &options.memory {
         None => {
             let read = map_at_once(paths.len(), paths.len(), |i| read(&paths[i], None));
-            // In the order given, so that the error is that of the first file that fails.
+            // Errors are collected in the order given, so that the one returned is that of the first file that fails.
             (read.into_iter().collect::<Result<Vec<_>>>()?, None)
         }
         Some(limit) => read_within(limit, stages, paths, read)?,
@@ -182,7 +184,7 @@ fn read_within(
     paths: &[PathBuf],
     read: impl Fn(&PathBuf, Option<&Arc<Scratch>>) -> Result<Picture> + Sync,
 ) -> Result<(Vec<Picture>, Option<OnDisk>)> {
-    // The size of the first file sets the budget.
+    // The budget is computed from the first file, because all frames of a bracket have the same size.
     let mut first = read(&paths[0], None)?;
     let demand = Demand {
         stages: *stages,
@@ -249,8 +251,8 @@ fn check_sizes(pictures: &[Picture]) -> Result<()> {
     }
 }
 
-/// Scales 8-bit frames to 0..=65535 where other frames have 16 bits, so that all pixel values of a bracket have one
-/// scale.
+/// Scales 8-bit frames to 0..=65535 if the bracket also has 16-bit frames, so that all pixel values of the bracket have
+/// one scale.
 fn widen_mixed_depths(pictures: &mut [Picture], scratch: Option<&Arc<Scratch>>) -> Result<()> {
     if pictures.iter().all(|p| p.store.max() == pictures[0].store.max()) {
         return Ok(());
@@ -301,8 +303,8 @@ fn check_given(pictures: &[Picture], copies: &[Copied], given: &[Exposure]) -> O
     Some(Warning::ExposureDoubtful { detail })
 }
 
-/// Adds time, f-number and ISO of the file to an `exposure` that is not from EXIF. The time is left out if the
-/// exposure was estimated, because the pixels may contradict the recorded time.
+/// Adds the f-number, ISO and exposure time in the tags of the file to an `exposure` that is not from EXIF. The time is
+/// left out if the exposure was estimated, because the pixels may contradict the recorded time.
 fn with_tags(mut exposure: Exposure, tags: &ExposureTags) -> Exposure {
     if exposure.source != ExposureSource::Exif {
         exposure.time_s = if exposure.source == ExposureSource::Given { tags.time_s.map(|t| t.0) } else { None };

@@ -35,13 +35,13 @@ pub(super) struct Picture {
     pub tags: ExposureTags,
     pub profile: Option<Profile>,
     pub capture: Capture,
-    /// Why it is excluded from the merge, if it is.
+    /// Why the file is excluded from the merge, if it is.
     pub excluded: Option<String>,
     pub warnings: Vec<Warning>,
 }
 
 impl Picture {
-    /// Reads `path`; with a scratch file, the pixel values are moved to it.
+    /// Reads the file `path`. If `scratch` is given, the pixel values are moved to that scratch file.
     pub fn read(path: &Path, options: &LoadOptions, scratch: Option<&Arc<Scratch>>) -> Result<Self> {
         let limits = options.limits();
         let bytes = content(path, &limits)?;
@@ -52,7 +52,7 @@ impl Picture {
         let capture = exif.as_ref().map(|exif| capture::read(exif, options.keep_gps)).unwrap_or_default();
         let profile = profile(icc, exif.as_ref(), &mut notes);
         let warnings = notes.into_iter().map(|detail| Warning::Metadata { path: path.into(), detail }).collect();
-        // Computed here because files are read in parallel.
+        // These are computed here because this function runs in parallel for several files.
         let (brightness, well_exposed) = (Brightness::of(&samples, width), reference::well_exposed(&samples, width));
         let mut store = Store::Held(samples);
         if let Some(scratch) = scratch {
@@ -91,8 +91,8 @@ pub(in crate::bracket) fn content(path: &Path, limits: &Limits) -> Result<Vec<u8
     intake::whole_if(path, limits.most_bytes(), |begin| decode::check_format(path, begin))
 }
 
-/// Rejects results of hdralign: a second `merge *.jpg` would merge the results of the first one. Damaged files are left
-/// to the decoder.
+/// Rejects results of hdralign: without this, a second `merge *.jpg` would merge the results of the first one. Damaged
+/// files pass, because the decoder reports them.
 fn refuse_result(path: &Path, bytes: &[u8], limits: &Limits) -> Result<()> {
     match Header::of(path, Cursor::new(bytes), limits) {
         Ok(header) if header.is_ours() => {
@@ -113,7 +113,7 @@ pub(in crate::bracket) fn profile(
     notes: &mut Vec<String>,
 ) -> Option<Profile> {
     let Some(icc) = icc else {
-        // DCF 2.0: "uncalibrated" with the interoperability index R03 is Adobe RGB.
+        // In DCF 2.0, the colour space "uncalibrated" with the interoperability index R03 means Adobe RGB.
         let exif = exif?;
         let uncalibrated = exif.get_field(Tag::ColorSpace, In::PRIMARY)?.value.get_uint(0) == Some(0xFFFF);
         let r03 = capture::ascii(exif, Tag::InteroperabilityIndex).as_deref() == Some("R03");

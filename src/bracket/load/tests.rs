@@ -27,7 +27,8 @@ impl Files {
 
 const WIDTH: usize = 128;
 
-/// Returns a smooth scene exposed by `ev` stops, under sRGB's curve after the shoulder and the contrast of a camera.
+/// Returns a smooth scene as 8-bit RGB, exposed by `ev` stops. The simulated camera raises the contrast, compresses the
+/// highlights, and applies the sRGB curve.
 fn exposed(ev: f64) -> Vec<u8> {
     (0..WIDTH * 96)
         .flat_map(|i| {
@@ -110,8 +111,8 @@ fn exif_gives_exposure_and_capture() {
     assert_eq!(warnings, []);
     let frame = &bracket.frames()[0];
     assert_eq!((frame.exposure.time_s, frame.exposure.f_number, frame.exposure.iso), (Some(0.01), Some(8.0), None));
-    // 1/100 s is a third of a stop above 1/125 s. The exact value of 1/125 s is 2^-7 s, so that of 1/100 s is 2^(-20/3)
-    // s. The f-number is 8.
+    // Cameras write rounded times. 1/125 s stands for 2^-7 s. 1/100 s is a third of a stop longer and stands for
+    // 2^(-20/3) s. The f-number is 8, which divides the exposure by 64.
     assert!((frame.exposure.relative() / (libm::exp2(-20.0 / 3.0) / 64.0) - 1.0).abs() < 1e-12);
     assert_eq!(frame.exposure.tags, "ExposureTime, FNumber");
     let wanted = Capture {

@@ -1,7 +1,7 @@
 //! Capture data other than the exposure.
 //!
-//! In: EXIF. Out: a [`Capture`] without blank fields, padding and dates of clocks that were never set, and the camera
-//! name. Cost: negligible. Source: EXIF 2.32, sections 4.6.4 and 4.6.5.
+//! In: EXIF. Out: a [`Capture`], and the name of the camera. Blank fields, padding, and dates of a clock that was never
+//! set are left out. Cost: negligible. Source: EXIF 2.32, sections 4.6.4 and 4.6.5.
 
 use crate::bracket::metadata::carried;
 use crate::bracket::metadata::moment::{is_date, taken};

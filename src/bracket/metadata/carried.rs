@@ -1,12 +1,15 @@
 //! The EXIF fields of a photograph that are valid for results too.
 //!
 //! In: EXIF. Out: a TIFF block of the fields that describe the photograph: camera, lens, exposure, times, author. Cost:
-//! negligible. Source: EXIF 2.32, sections 4.6.4 to 4.6.6; the standard's list of tags that an editor must update or
-//! drop, annex E.
+//! negligible. Source: EXIF 2.32, sections 4.6.4 to 4.6.6, and annex E, which lists the tags that an editor must update
+//! or remove.
 //!
-//! Left out are the fields of the stored pixels (sizes, orientation, encoding, colour space), which the writer sets;
-//! the unique image id; the thumbnail; the maker note, whose offsets become invalid; positions in the image, which has
-//! been moved and cropped; and, unless requested, the GPS position.
+//! The following are left out:
+//! - the fields of the stored pixels (sizes, orientation, encoding, colour space), which the writer of the result sets;
+//! - the unique image id and the thumbnail;
+//! - the maker note, whose offsets become invalid;
+//! - positions in the image, because the result is moved and cropped;
+//! - the GPS position, unless it is requested.
 
 use exif::experimental::Writer;
 use exif::{Context, Exif, Field, In, Tag, Value};
@@ -42,7 +45,7 @@ const OF_THE_FILE: [Tag; 12] = [
     Tag::ImageUniqueID,
 ];
 
-/// Tags of the EXIF directory from this number on are padding or private to a program.
+/// Tags of the EXIF directory with this number or a greater number are padding or private to a program.
 const PRIVATE: u16 = 0xC000;
 
 /// Longest field that is copied, in bytes.

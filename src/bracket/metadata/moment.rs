@@ -15,7 +15,7 @@ pub struct Moment {
 }
 
 impl Moment {
-    /// Returns the seconds from `earlier` to this time.
+    /// Returns the number of seconds from `earlier` to this time; negative where `earlier` is the later one.
     pub fn since(&self, earlier: &Moment) -> f64 {
         (self.seconds - earlier.seconds) as f64 + (f64::from(self.nanoseconds) - f64::from(earlier.nanoseconds)) * 1e-9
     }
@@ -57,7 +57,8 @@ impl fmt::Display for Moment {
 
 /// Returns year, month and day: the inverse of [`days`].
 fn date(days: i64) -> (i64, i64, i64) {
-    // 400 years have 146,097 days; within them, years begin in March, so that the leap day is the last.
+    // The calendar repeats every 400 years, which are 146,097 days. Years begin in March here, so that a leap day is
+    // the last day of its year.
     let (era, of_era) = (days.div_euclid(146_097), days.rem_euclid(146_097));
     let year_of_era = (of_era - of_era / 1460 + of_era / 36_524 - of_era / 146_096) / 365;
     let of_year = of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
@@ -67,8 +68,8 @@ fn date(days: i64) -> (i64, i64, i64) {
     (era * 400 + year_of_era + next, month, day)
 }
 
-/// Returns the time of the exposure, else of digitising, else of the last change; a camera writes the same time to all
-/// three.
+/// Returns the time of the exposure. Where the file has none, returns the time of digitising, else that of the last
+/// change: a camera writes the same time to all three fields.
 pub(crate) fn taken(text: &impl Fn(Tag) -> Option<String>) -> Option<Moment> {
     [
         (Tag::DateTimeOriginal, Tag::SubSecTimeOriginal),

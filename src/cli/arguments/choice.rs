@@ -1,5 +1,5 @@
-//! Arguments whose values are an enum of the library: the names of its variants are accepted, and `--help` lists them
-//! with their documentation.
+//! Command-line arguments whose values are the variants of an enum of the library. The argument accepts the names of
+//! the variants, and `--help` lists them with their doc comments.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Arg, Command};
@@ -13,7 +13,7 @@ pub type Named<T> = (T, &'static str, &'static str);
 #[derive(Clone)]
 pub struct Choice<T> {
     values: Vec<Named<T>>,
-    /// Names that are accepted, but not listed.
+    /// Names that are accepted, but that `--help` does not list.
     hidden: Vec<&'static str>,
 }
 
@@ -24,7 +24,8 @@ impl<T> FromIterator<Named<T>> for Choice<T> {
 }
 
 impl<T> Choice<T> {
-    /// Returns the same parser, which accepts the values for which `is_hidden` is true, but does not list them.
+    /// Returns the parser with some values hidden: it still accepts the values for which `is_hidden` is true, but
+    /// `--help` does not list them.
     pub fn hiding(self, is_hidden: impl Fn(&T) -> bool) -> Choice<T> {
         let hidden = self.values.iter().filter(|named| is_hidden(&named.0)).map(|named| named.1).collect();
         Choice { hidden, ..self }
@@ -38,7 +39,7 @@ impl<T> Choice<T> {
     }
 }
 
-/// Returns `value` with its name and its documentation.
+/// Returns `value` with its name and its doc comment.
 pub fn named<T: EnumMessage>(value: T) -> Named<T>
 where
     for<'a> &'static str: From<&'a T>,

@@ -1,4 +1,4 @@
-//! Arguments that the commands share.
+//! Arguments that several commands share: frames, alignment, output, threads and memory.
 
 use crate::cli::arguments::choice::choice;
 use crate::cli::heading::{ALIGNMENT, INPUT, OUTPUT, RESOURCES};
@@ -110,7 +110,7 @@ impl Largest {
         self.max_pixels
     }
 
-    /// Returns the limit in pixels: as given, or the default.
+    /// Returns the limit in pixels: the value that the user gave, or else the default.
     pub fn pixels(&self) -> u64 {
         self.max_pixels.unwrap_or(Limits::MAX_PIXELS)
     }
@@ -137,7 +137,8 @@ impl Reading {
     }
 }
 
-/// Returns the memory limit in bytes: as `given`, or three quarters of the free memory; `None` if that is not known.
+/// Returns the memory limit in bytes: `given`, or else three quarters of the free memory. Returns `None` if the free
+/// memory is not known.
 fn allowed(given: Option<u64>) -> Option<u64> {
     given.or_else(|| Some(memory::free()? / 4 * 3))
 }
@@ -215,14 +216,15 @@ pub struct Results {
     pub work: Work,
 }
 
-/// Parses the file of the report. `-` means standard output in other programs, so it is rejected with a message that
-/// names the right option.
+/// Parses the path of the report file. `-` means standard output in other programs. It is rejected here with a
+/// message that names the option for this, `--json`.
 fn report_file(path: PathBuf) -> Result<PathBuf, &'static str> {
     if path.as_os_str() == "-" { Err("give --json for the report on standard output") } else { Ok(path) }
 }
 
 impl Method {
-    /// Returns the options of the library for these arguments; options without an argument have their defaults.
+    /// Returns the options of the library for these arguments. Library options without an argument in this group have
+    /// their defaults.
     pub fn options(&self) -> Options {
         Options {
             load: LoadOptions { ev: self.ev.clone(), ..LoadOptions::default() },
@@ -245,7 +247,8 @@ impl Work {
 }
 
 impl Aligned {
-    /// Returns the options of the library for these arguments and `work`; all others have their defaults.
+    /// Returns the options of the library for these arguments and for `work`. All other library options have their
+    /// defaults.
     pub fn options(&self, work: &Work) -> Options {
         let options = self.method.options();
         Options {
@@ -270,7 +273,8 @@ impl Aligned {
         [all(&self.leave_out, PresetTransform::Excluded), all(&self.unmoved, PresetTransform::Unmoved)].concat()
     }
 
-    /// Returns the choice of the reference frame. A number is a position, unless it is also the path of a photograph.
+    /// Returns the choice of the reference frame. A number is the position of a photograph, unless a photograph has
+    /// this number as its path.
     fn reference(&self) -> ReferenceChoice {
         match &self.reference {
             None if self.leave_out.is_empty() => ReferenceChoice::Auto,
@@ -291,7 +295,8 @@ impl Results {
         self.report.as_deref()
     }
 
-    /// Returns the options of the library for these arguments and `common`; all others have their defaults.
+    /// Returns the options of the library for these arguments and for `common`. All other library options have their
+    /// defaults.
     pub fn options(&self, common: &Common) -> Options {
         Options {
             crop: self.cut.crop,

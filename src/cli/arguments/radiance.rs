@@ -48,7 +48,7 @@ pub struct Radiance {
 #[derive(Debug, Clone)]
 struct Target(Option<Space>);
 
-/// The value of `--colour` for no conversion.
+/// The value of `--colour` that means no conversion.
 const KEEP: &str = "keep";
 
 fn spaces() -> Choice<Target> {
@@ -63,7 +63,7 @@ impl Radiance {
         self.colour.0
     }
 
-    /// Returns the encodings of the files; with `overwrite` existing files are replaced.
+    /// Returns the options for writing files. With `overwrite`, existing files are replaced.
     pub fn write(&self, overwrite: bool) -> write::Options {
         write::Options {
             overwrite,

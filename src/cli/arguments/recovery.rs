@@ -25,7 +25,7 @@ pub struct Recovery {
 }
 
 impl Recovery {
-    /// Returns the model of the response, with the given degree if it is a polynomial.
+    /// Returns the response model. If it is a polynomial, it has the degree that the user gave.
     pub fn model(&self) -> Result<ResponseModel, Error> {
         match (&self.response_model, self.response_degree) {
             (model, None) => Ok(model.clone()),

@@ -30,15 +30,15 @@ fn renderings() -> Choice<Rendering> {
     Rendering::every().into_iter().map(named).collect()
 }
 
-/// Returns a parser for commands that have radiance only: it accepts every rendering, so that [`Tone::operator`] can
-/// explain why fusion is not possible, and lists the operators.
+/// Returns a parser of `--tmo` for commands whose input is radiance. `--help` lists only the operators. The parser
+/// also accepts exposure fusion, so that [`Tone::operator`] can explain why it is not possible.
 pub fn operators() -> Choice<Rendering> {
     renderings().hiding(|rendering| matches!(rendering, Rendering::Fused(_)))
 }
 
 impl Tone {
-    /// Returns the operator with its parameters, for commands that have only radiance; an error for exposure fusion,
-    /// which needs frames.
+    /// Returns the operator with its parameters, for commands whose input is radiance. Returns an error for exposure
+    /// fusion, because it needs frames.
     pub fn operator(&self) -> Result<Operator, Error> {
         match self.rendering()? {
             Rendering::Toned(operator) => Ok(operator),
@@ -63,12 +63,12 @@ impl Tone {
     }
 }
 
-/// Returns the list of the operator's parameters if the command line contains `--tmo-set help`. Required arguments may
-/// be missing then.
+/// If the command line contains `--tmo-set help`, returns the list of the operator's parameters. Required arguments
+/// may then be missing.
 pub fn settings_asked(command: clap::Command) -> Option<String> {
     let matches = command.ignore_errors(true).try_get_matches().ok()?;
     let (_, own) = matches.subcommand()?;
-    // This is an error, and the result `None`, if the command has no tone mapping.
+    // For a command without tone mapping, this is an error, so the function returns `None`.
     own.try_contains_id("tmo_set").ok()?;
     let mut tone = Tone::from_arg_matches(own).ok()?;
     tone.tmo_set.iter().any(|text| text == "help").then(|| listed(&mut tone.tmo))

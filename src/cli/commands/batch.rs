@@ -46,7 +46,7 @@ Results of earlier runs count like those of this run. With --shared-response, th
 if the response of a camera was recovered, but no bracket was merged.
 ";
 
-/// Returns a shared argument with its help for this command.
+/// Returns `arg`, an argument that several commands share, with the help text for this command.
 fn adapted(arg: clap::Arg) -> clap::Arg {
     let arg = match arg.get_id().as_str() {
         "ev" => arg.help("Set the exposures in EV, in the order in which the frames were taken").long_help(
@@ -65,7 +65,7 @@ fn adapted(arg: clap::Arg) -> clap::Arg {
     if RARE.contains(&arg.get_id().as_str()) { arg.hide_short_help(true) } else { arg }
 }
 
-/// Options that `-h` does not show for this command, in addition to those that it shows for no command.
+/// Shared options that `-h` does not show for `batch`, although it shows them for other commands.
 const RARE: [&str; 9] =
     ["align", "crop", "resize", "white_balance", "brightness", "contrast", "saturation", "shadows", "highlights"];
 
@@ -223,7 +223,7 @@ struct Typed {
 }
 
 impl Acting {
-    /// Returns the options of the library for these arguments, without files and limits.
+    /// Returns the options of the library for these arguments. File names and resource limits are not included.
     fn options(&self) -> Result<Options, Error> {
         let options = self.merging.options(self.method.options())?;
         let reference = self.reference.map_or(ReferenceChoice::Auto, ReferenceChoice::Number);
@@ -231,13 +231,13 @@ impl Acting {
         Ok(Options { load, crop: self.cut.crop, ..options })
     }
 
-    /// Parses the options in `job`.
+    /// Parses the options that the plan contains for `job`.
     fn of(job: &Job) -> Result<Options, Error> {
         let refused = |reason: String| Error::Option { option: "--run", reason: format!("{}: {reason}", job.id) };
         Typed::try_parse_from(&job.options).map_err(|e| refused(e.to_string()))?.acting.options()
     }
 
-    /// Returns the options that the user typed, each as one word: `--name` or `--name=value`.
+    /// Returns the options that the user typed, each as one word of the form `--name` or `--name=value`.
     fn typed(matches: &ArgMatches) -> Vec<String> {
         let all = <Acting as clap::Args>::augment_args(clap::Command::new("batch"));
         let is_typed = |id: &str| matches.value_source(id) == Some(ValueSource::CommandLine);
@@ -394,8 +394,8 @@ fn jobs(path: &Path, args: &Args, typed: &[String]) -> Result<ExitCode, Error> {
     Ok(if args.work.strict && degraded && outcome == Outcome::All { ExitCode::from(3) } else { exit_code(outcome) })
 }
 
-/// Returns the limit on the pixels of a photograph of `job`: the limit that the user gave, or else the larger of the
-/// default limit and the size in the plan.
+/// Returns the largest number of pixels that a photograph of `job` may have. This is the limit that the user gave.
+/// Without it, it is the default limit, or the size in the plan if that is larger.
 fn largest(job: &Job, work: &Work) -> u64 {
     let planned = (job.width_px as u64).saturating_mul(job.height_px as u64);
     work.largest.given().unwrap_or_else(|| work.largest.pixels().max(planned))
@@ -426,7 +426,7 @@ mod tests {
     use super::*;
     use clap::Args as _;
 
-    /// Returns the options in a plan, and those of the library, for the command line `words`.
+    /// Parses the command line `words`. Returns the options as a plan contains them, and as options of the library.
     fn typed(words: &[&str]) -> (Vec<String>, Options) {
         let command = Args::augment_args(clap::Command::new("batch"));
         let matches = command.get_matches_from([&["batch", "in"], words].concat());

@@ -113,7 +113,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
     leftovers::clear(&args.diff.iter().chain(args.bless.then_some(&args.expected)).collect::<Vec<_>>());
     let compared = match compare::files(&args.expected, &args.actual, &args.options()) {
         Ok(compared) => Some(compared),
-        // With --bless the expected file may be missing or damaged.
+        // With --bless, the actual file replaces the expected file. So the expected file may be missing or damaged.
         Err(Error::Read { path, .. } | Error::Decode { path, .. } | Error::NotComparable { path, .. })
             if args.bless && path == args.expected =>
         {
@@ -148,7 +148,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
     Ok(code)
 }
 
-/// Returns the lines with the outcome and the measured differences.
+/// Returns the lines to print: whether the files are the same, and the measured differences.
 fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
     let bytes = if compared.bytes_equal { ", byte for byte" } else { "" };
     let name = if compared.is_same() { "same" } else { "differs" };
@@ -187,7 +187,7 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
                 format!("{} pixels are NaN or infinite in only one of the files", radiance.not_comparable_pixels),
             );
         }
-        // If mean and RMS difference in stops are almost equal, all pixels differ by the same factor.
+        // If the mean of the differences in stops is almost equal to their RMS, all pixels differ by the same factor.
         let (mean, rms) = (radiance.mean_stops, radiance.rms_stops);
         if mean.abs() > 0.002 && mean.abs() > 0.97 * rms {
             let word = if mean > 0.0 { "brighter" } else { "darker" };
@@ -223,7 +223,7 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
     lines
 }
 
-/// Returns `value` as text with four or five significant digits.
+/// Returns `value` as text: whole numbers below 100000 exactly, other numbers with four or five significant digits.
 fn number(value: f64) -> String {
     if value == 0.0 || value.fract() == 0.0 && value.abs() < 1e5 {
         format!("{value}")
@@ -234,7 +234,7 @@ fn number(value: f64) -> String {
     }
 }
 
-/// Returns the start of a header's text on one line, at most 60 characters.
+/// Returns the first 60 characters of the header value `text`, on one line.
 fn one_line(text: &str) -> String {
     let line: String = text.chars().map(|c| if c.is_control() { ' ' } else { c }).take(60).collect();
     line.trim().to_owned()

@@ -41,7 +41,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Writes the pages of `program` and its commands, and returns their paths.
+/// Writes the manual pages of `program` and all its commands into `folder`, and returns their paths.
 fn pages(program: &clap::Command, folder: &Path, overwrite: bool) -> Result<Vec<PathBuf>, Error> {
     let failed = |source| Error::Write { path: folder.to_owned(), source };
     std::fs::create_dir_all(folder).map_err(failed)?;
@@ -54,7 +54,7 @@ fn pages(program: &clap::Command, folder: &Path, overwrite: bool) -> Result<Vec<
     Ok(paths)
 }
 
-/// Returns the page of one command.
+/// Returns the manual page of one command.
 fn page(command: &clap::Command) -> io::Result<Vec<u8>> {
     let mut page = Vec::new();
     let source = concat!("hdralign ", env!("CARGO_PKG_VERSION"));

@@ -94,7 +94,8 @@ impl Args {
 }
 
 impl Args {
-    /// Rejects `--deghost 0.5`: the parser takes the number for a photograph.
+    /// Returns an error for `--deghost 0.5`, with a space instead of `=`: the argument parser then takes 0.5 for a
+    /// photograph.
     fn check_strength(&self) -> Result<(), Error> {
         let images = &self.common.aligned.images;
         let strength = images.iter().find(|image| {

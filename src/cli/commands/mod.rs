@@ -1,7 +1,8 @@
-//! Commands of the program, each in the file of its name.
+//! The commands of the program. Each is in the file with its name.
 //!
-//! In: parsed arguments. Out: an exit code. Each file holds the arguments and help of its command, and `run`, which
-//! turns them into options of the library. Arguments that several commands share are in `arguments`.
+//! In: parsed arguments. Out: an exit code. Each file contains the arguments and the help of its command, and a
+//! function `run`, which converts the arguments to options of the library and calls it. Arguments that several
+//! commands share are in `arguments`.
 
 pub(crate) mod align;
 pub(crate) mod batch;

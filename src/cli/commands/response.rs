@@ -24,7 +24,7 @@ Examples:
   hdralign response *.jpg -o 5d.rsp                   write a file for `hdrgen -r`
   hdralign merge --response 5d.json *.jpg             use it";
 
-/// Returns a shared argument with its help for this command.
+/// Returns `arg`, an argument that several commands share, with the help text for this command.
 fn adapted(arg: clap::Arg) -> clap::Arg {
     match arg.get_id().as_str() {
         "images" => arg.help("Photographs (JPEG, PNG or TIFF) of one or several brackets, or folders of photographs"),
@@ -99,7 +99,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
     Ok(crate::cli::exit_code(work.strict && report.is_degraded()))
 }
 
-/// Prints warnings and the accuracy of the response on stderr.
+/// Prints the warnings and the accuracy of the response on stderr.
 fn summarise(report: &CameraReport) {
     let terminal = Terminal::of_stderr();
     summary::warn(&report.warnings, &terminal);

@@ -1,19 +1,19 @@
-//! The allocator: with a memory limit, freed memory is returned to the system at once.
+//! The memory allocator (mimalloc). If memory is limited, freed memory is returned to the system at once.
 //!
-//! mimalloc keeps freed pages for a second, so that resident memory depends on the speed of the machine and is up to
-//! twice the memory in use. With a delay of a millisecond the excess is a few megabytes. mimalloc reads its settings
-//! from the environment before `main`, so the program executes itself again in the same process, with the setting. This
-//! costs 2 ms.
+//! By default, mimalloc keeps freed pages for a second. The resident memory then depends on the speed of the machine,
+//! and can be twice the memory in use. With a delay of a millisecond, it exceeds the memory in use by only a few
+//! megabytes. mimalloc reads its settings from the environment before `main`. So the program sets an environment
+//! variable and executes itself again in the same process. This costs 2 ms.
 
 use clap::ArgMatches;
 
-/// How long mimalloc keeps freed pages, in milliseconds.
+/// The environment variable for the time for which mimalloc keeps freed pages, and its value in milliseconds.
 #[cfg(unix)]
 const DELAY: (&str, &str) = ("MIMALLOC_PURGE_DELAY", "1");
 
-/// Executes this program again with [`DELAY`] in its environment if memory is limited: with `--max-memory`, or for a
-/// job of a plan. Does nothing if the environment sets a delay already, or if the system cannot execute the program
-/// again.
+/// Executes this program again with [`DELAY`] in its environment if memory is limited, that is with `--max-memory` or
+/// for `batch --run`. Does nothing if the environment already sets a delay, or if the system cannot execute the
+/// program again.
 #[cfg(unix)]
 pub fn give_back_soon(matches: &ArgMatches) {
     use std::env;
@@ -36,6 +36,6 @@ pub fn give_back_soon(matches: &ArgMatches) {
     let _ = again.args(args).env(name, value).exec();
 }
 
-/// Does nothing: only Unix can replace the program of a process.
+/// Does nothing, because only Unix can replace the program of a running process.
 #[cfg(not(unix))]
 pub fn give_back_soon(_: &ArgMatches) {}

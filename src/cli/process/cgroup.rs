@@ -1,26 +1,28 @@
-//! Control groups: the memory that Linux still allows to the groups of this process, as in a container or under Slurm.
+//! Control groups: the memory that Linux still allows this process to use if its control groups have limits, as in a
+//! container or under Slurm.
 //!
-//! In: `/proc/self/cgroup`, `/proc/self/mountinfo` and the files of the process's own group and of every group above
-//! it. Out: bytes. Cost: some small files. Source: the kernel's `admin-guide/cgroup-v2.rst`,
+//! In: `/proc/self/cgroup`, `/proc/self/mountinfo`, and files of the process's own group and of every group above it.
+//! Out: bytes. Cost: reading some small files. Source: the kernel's `admin-guide/cgroup-v2.rst`,
 //! `admin-guide/cgroup-v1/memory.rst` and `filesystems/proc.rst`.
 //!
-//! A group's usage contains the page cache of every file that was read or written in it, which the kernel gives back
-//! before it refuses memory. The file pages on the kernel's lists are therefore counted as free, as in `MemAvailable`.
+//! The usage that the kernel reports for a group includes the page cache of every file that was read or written in
+//! the group. The kernel frees the page cache before it refuses memory. So the file pages that the kernel can reclaim
+//! count as free here, as in `MemAvailable`.
 
 use std::fs;
 use std::path::{Component, Path, PathBuf};
 
-/// The names of files and values in one version of control groups.
+/// The names of files and values in one version of the control group interface.
 struct Version {
-    /// The type of its file system.
+    /// The type of the control group file system in mountinfo.
     file_system: &'static str,
-    /// The controller of memory in `/proc/self/cgroup` and in the options of its mount; empty for version 2, which has
-    /// one hierarchy for all controllers.
+    /// The name of the memory controller, in `/proc/self/cgroup` and in the mount options. It is empty for version 2,
+    /// in which all controllers have the same hierarchy.
     controller: &'static str,
-    /// Files that contain a limit in bytes, or a word such as `max` if there is no limit.
+    /// Names of the files with a limit. They contain a number of bytes, or a word such as `max` if there is no limit.
     limits: &'static [&'static str],
     usage: &'static str,
-    /// Names of the lines of `memory.stat` for memory that the kernel reclaims before it refuses memory.
+    /// Keys in the file `memory.stat` for memory that the kernel can reclaim before it refuses memory.
     reclaimable: &'static [&'static str],
 }
 
@@ -28,7 +30,7 @@ const VERSIONS: [Version; 2] = [
     Version {
         file_system: "cgroup2",
         controller: "",
-        // A process that uses more than `memory.high` is slowed down until it gives memory back.
+        // `memory.high` counts as a limit: a process that exceeds it is slowed down until it gives memory back.
         limits: &["memory.max", "memory.high"],
         usage: "memory.current",
         reclaimable: &["inactive_file", "active_file", "slab_reclaimable"],
@@ -42,8 +44,9 @@ const VERSIONS: [Version; 2] = [
     },
 ];
 
-/// Returns the number of bytes that the groups of this process allow in addition to those in use, which is the smallest
-/// number of any group; `None` if no group has a limit. `root` is the root of the file system.
+/// Returns the number of bytes that this process may use in addition to those in use. Every group of the process has
+/// such a number, and the smallest counts. Returns `None` if no group has a limit. `root` is the root of the file
+/// system.
 pub fn free(root: &Path) -> Option<u64> {
     let groups = fs::read_to_string(root.join("proc/self/cgroup")).ok()?;
     let mounts = fs::read_to_string(root.join("proc/self/mountinfo")).ok()?;
@@ -58,7 +61,8 @@ pub fn free(root: &Path) -> Option<u64> {
 }
 
 impl Version {
-    /// Returns the cgroup path of the process, from lines of `hierarchy:controllers:path`.
+    /// Returns the path of the process's group. `groups` is the text of `/proc/self/cgroup`, with lines of the form
+    /// `hierarchy:controllers:path`.
     fn group<'a>(&self, groups: &'a str) -> Option<&'a Path> {
         groups.lines().find_map(|line| {
             let (controllers, path) = line.split_once(':')?.1.split_once(':')?;
@@ -66,8 +70,8 @@ impl Version {
         })
     }
 
-    /// Returns where the hierarchy is mounted, and the folder of `group` in it. This is the mount point itself if the
-    /// group is not in the mounted part, as in a container that sees the paths of its host.
+    /// Returns the mount point of the hierarchy, and the folder of `group` below it. If the group is not in the
+    /// mounted part, as in a container that sees the paths of its host, the folder is the mount point itself.
     fn folders(&self, mounts: &str, group: &Path) -> Option<(PathBuf, PathBuf)> {
         let mounted = || mounts.lines().filter_map(|line| self.mount(line));
         let inside = mounted().find_map(|(top, mount)| {
@@ -78,7 +82,8 @@ impl Version {
         inside.or_else(|| mounted().next().map(|(_, mount)| (mount.clone(), mount)))
     }
 
-    /// Returns the group that `line` of mountinfo mounts, and its mount point; `None` for lines of other file systems.
+    /// Parses a `line` of mountinfo. Returns the group that is mounted, and its mount point; `None` for other file
+    /// systems.
     fn mount(&self, line: &str) -> Option<(PathBuf, PathBuf)> {
         let (place, what) = line.split_once(" - ")?;
         let mut what = what.split(' ');
@@ -91,9 +96,9 @@ impl Version {
         Some((place.next()?, place.next()?))
     }
 
-    /// Returns the bytes that the group of `folder` allows in addition to those in use; `None` if it has no limit. In
-    /// version 1 a group may not include the groups below it (`memory.use_hierarchy` is 0), and then does not limit
-    /// them.
+    /// Returns the bytes that the group in `folder` allows in addition to those in use; `None` if it has no limit.
+    /// `is_own` is true for the process's own group. In version 1, a group does not limit the groups below it if its
+    /// file `memory.use_hierarchy` contains 0; this also returns `None`.
     fn free(&self, folder: &Path, is_own: bool) -> Option<u64> {
         let read = |name: &str| fs::read_to_string(folder.join(name)).ok();
         let number = |name: &str| read(name)?.trim().parse::<u64>().ok();
@@ -110,7 +115,8 @@ impl Version {
     }
 }
 
-/// Returns `path` without escapes: mountinfo writes white space and backslashes as a backslash and three octal digits.
+/// Returns `path` without escape sequences: mountinfo writes white space and backslashes as a backslash and three
+/// octal digits.
 fn unescaped(path: &str) -> String {
     [("\\040", " "), ("\\011", "\t"), ("\\012", "\n"), ("\\134", "\\")]
         .iter()
@@ -121,7 +127,7 @@ fn unescaped(path: &str) -> String {
 mod tests {
     use super::*;
 
-    /// Creates a folder with `files`, which serves as the root of a file system.
+    /// Creates a temporary folder with `files`. It serves as the root of a file system.
     fn tree(files: &[(&str, &str)]) -> tempfile::TempDir {
         let root = tempfile::tempdir().unwrap();
         for (path, content) in files {
@@ -161,7 +167,8 @@ mod tests {
             ),
         ];
         assert_eq!(free_in(&files), Some(2_000_000_000 - 159_000_000));
-        // Without memory.stat, all used bytes count as not free.
+        // Without memory.stat it is not known how much memory can be reclaimed, so none of the used bytes count as
+        // free.
         assert_eq!(free_in(&files[..5]), Some(1_000_000));
     }
 

@@ -1,7 +1,7 @@
-//! Leftovers: temporary files of killed runs in the folders of the results, removed at the start.
+//! Removes temporary files of killed runs from the folders of the results, at the start of a run.
 //!
-//! Jobs of a plan (`batch --run`) do not remove them: jobs may run on several machines, and on some file systems a lock
-//! held by one machine is not seen by the others.
+//! Jobs of a plan (`batch --run`) do not remove such files. They may run on several machines at the same time, and on
+//! some file systems a machine does not see the locks of other machines. So a job could remove files that are in use.
 
 use hdralign::write;
 use std::collections::BTreeSet;

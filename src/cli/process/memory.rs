@@ -1,16 +1,17 @@
-//! Memory: how much is free, and sizes given by the user.
+//! Memory: the free memory of the system, and sizes on the command line.
 
 use crate::cli::process::cgroup;
 use std::fs;
 use std::path::Path;
 
-/// Returns the bytes of memory that are free for this process, on Linux; `None` on other systems.
+/// Returns the bytes of memory that this process can still use, on Linux; `None` on other systems.
 pub fn free() -> Option<u64> {
     let of_machine = available(&fs::read_to_string("/proc/meminfo").ok()?)?;
     let of_groups = cgroup::free(Path::new("/"));
     let of_process = fs::read_to_string("/proc/self/limits").ok().and_then(|limits| address_space(&limits));
     let taken = || fs::read_to_string("/proc/self/status").ok().and_then(|status| in_kilobytes(&status, "VmSize:"));
-    // Half of the free addresses, because allocators and thread stacks reserve more addresses than they use.
+    // Only half of the remaining address space counts, because allocators and thread stacks reserve more addresses
+    // than they use.
     let of_process = of_process.map(|most| most.saturating_sub(taken().unwrap_or(0)) / 2);
     [of_groups, of_process].into_iter().flatten().chain([of_machine]).min()
 }
@@ -26,13 +27,14 @@ fn available(meminfo: &str) -> Option<u64> {
     in_kilobytes(meminfo, "MemAvailable:")
 }
 
-/// Returns the bytes in the line `name` of a file of /proc, which gives them in units of 1024 (`kB`).
+/// Returns the value of the line `name` in a file of /proc, in bytes. These files give values in units of 1024 bytes
+/// (`kB`).
 fn in_kilobytes(text: &str, name: &str) -> Option<u64> {
     let line = text.lines().find_map(|line| line.strip_prefix(name))?;
     Some(1024 * line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?)
 }
 
-/// Smallest memory limit in bytes: the memory of the program without photographs.
+/// Smallest memory limit that is accepted, in bytes: the memory that the program needs without photographs.
 const LEAST: u64 = 64_000_000;
 
 /// Parses a number of bytes, such as `300000000`, `256MB`, `256MiB` or `1.5GB`.

@@ -1,8 +1,8 @@
-//! The process of the program: memory, signals, panics and files that an earlier run left behind.
+//! The operating system process of the program: memory, signals, panics, and temporary files of earlier runs.
 //!
-//! `memory` determines how much memory is free and parses sizes; `cgroup` reads the limits of control groups;
-//! `allocator` makes the allocator return freed memory to the system. `interrupt` handles signals, and `panics` handles
-//! panics. `leftovers` removes temporary files of killed runs.
+//! `memory` determines how much memory is free, and parses sizes. `cgroup` reads the limits of Linux control groups.
+//! `allocator` makes the allocator return freed memory to the system. `interrupt` handles signals, and `panics`
+//! handles panics. `leftovers` removes temporary files of killed runs.
 
 pub(crate) mod allocator;
 pub(crate) mod cgroup;

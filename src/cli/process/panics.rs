@@ -1,5 +1,5 @@
-//! Handling of panics. The library catches panics of decoders, which print nothing; other panics end the program with a
-//! message.
+//! Handling of panics. The library catches panics of decoders; these print nothing. Other panics end the program with
+//! a message.
 
 use crate::cli::say;
 use std::backtrace::{Backtrace, BacktraceStatus};
@@ -7,14 +7,14 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::process::ExitCode;
 use std::sync::Mutex;
 
-/// The message and position of the last panic.
+/// The message and source position of the last panic, with a backtrace if one was captured.
 static LAST: Mutex<String> = Mutex::new(String::new());
 
 /// The exit code of Rust programs that panic.
 const PANICKED: u8 = 101;
 
-/// Returns the result of `run`. Panics that are caught inside `run` print nothing; a panic that leaves `run` is
-/// reported.
+/// Calls `run` and returns its result. Panics that are caught inside `run` print nothing. A panic that `run` does not
+/// catch is printed, and the exit code is [`PANICKED`].
 pub(crate) fn guarded(run: impl FnOnce() -> ExitCode) -> ExitCode {
     std::panic::set_hook(Box::new(|panic| {
         let trace = Backtrace::capture();

@@ -1,8 +1,8 @@
 //! Curves: the fraction of pixels that differ between two bitmaps, plotted over rotation and shift.
 //!
-//! In: [`XorCurves`]. Out: a drawing of three plots with the same scale, with the motion marked in each. Cost: some
-//! hundred numbers. Source: the plot of the XOR count against the angle in the thesis, divided by the number of
-//! comparable pixels.
+//! In: [`XorCurves`]. Out: a drawing of three plots with the same vertical scale; the motion is marked in each. Cost:
+//! plotting some hundred numbers. Source: the thesis on which hdralign is based plots the XOR count over the angle.
+//! Here the count is divided by the number of compared pixels.
 
 use super::layout::{Entry, Mark, Page, TEXT};
 use crate::align::diagnostics::{Curve, XorCurves};
@@ -16,17 +16,17 @@ const FOUND: Colour = Colour(213, 94, 0);
 const WIDTH: f64 = 400.0;
 /// Height of a plot inside its axes, in pixels.
 const HEIGHT: f64 = 330.0;
-/// Space to the left of the plots for the vertical axis, in pixels.
+/// Space to the left of each plot for the vertical axis, in pixels.
 const LEFT: f64 = 76.0;
-/// Space below a plot for its horizontal axis, in pixels.
+/// Space below each plot for the horizontal axis, in pixels.
 const BELOW: f64 = 62.0;
-/// Space above a plot for the value of the motion, in pixels.
+/// Space above each plot for the value of the marked motion, in pixels.
 const ABOVE: f64 = 30.0;
 /// Distance between plots, in pixels.
 const GAP: f64 = 26.0;
 
-/// Draws `curves`. They are centred at the motion of the alignment if `placed`, otherwise at the motion for which the
-/// bitmaps match best.
+/// Draws `curves`. `placed` is true if their centre is the motion of the alignment, and false if it is the motion for
+/// which the bitmaps match best.
 pub(in crate::inspect) fn draw(title: &str, curves: &XorCurves, placed: bool) -> Drawing {
     let [dx, dy, angle] = curves.centre.map(|v| v + 0.0);
     let plots = [
@@ -57,7 +57,7 @@ pub(in crate::inspect) fn draw(title: &str, curves: &XorCurves, placed: bool) ->
     page.drawing
 }
 
-/// Plots `curve` over the quantity `name`, with a mark at the motion `at`, whose label is `found`.
+/// Plots `curve` over the quantity `name`. The value `at` of the motion is marked and has the label `found`.
 fn draw_plot(page: &mut Drawing, area: Area, curve: &Curve, (name, up): (&str, &Axis), (at, found): (f64, &str)) {
     let (Some(first), Some(last)) = (curve.at.first(), curve.at.last()) else { return };
     let plot = Plot { area, x: Axis::within(*first, *last, 6, name), y: up.clone() };

@@ -1,7 +1,8 @@
-//! Edges: their strength at each pixel of a frame, comparable between exposures.
+//! The strength of edges at each pixel of a frame.
 //!
-//! In: grey values. Out: [`Edges`]. Cost: two passes over the picture. Edges of different exposures are comparable,
-//! because they are computed from the logarithm of the grey values and scaled to the strongest edges.
+//! In: grey values. Out: [`Edges`]. Cost: two passes over the picture. The strengths of differently exposed frames
+//! are comparable, because they are computed from the logarithm of the grey values and divided by the strength of the
+//! strongest edges.
 
 use crate::align::Transform;
 use crate::align::transform::map;
@@ -10,7 +11,7 @@ use crate::plane::Plane;
 use crate::pyramid::gaussian;
 use crate::statistics::of_rank;
 
-/// Resamples `small`, a reduced frame, to the grid of the equally reduced reference.
+/// Resamples `small`, a frame at reduced size, to the pixel grid of the reference frame at the same reduced size.
 pub(super) fn laid(small: &Plane<u8>, warp: &Transform, reference: &Frame) -> Grey {
     let (width, height) = (small.width(), small.height());
     let h = warp.matrix(reference.width(), reference.height());
@@ -39,28 +40,28 @@ pub(super) fn laid(small: &Plane<u8>, warp: &Transform, reference: &Frame) -> Gr
     Grey { levels, outside: Some(outside) }
 }
 
-/// A grey picture with a mask of its invalid pixels; without mask all pixels are valid.
+/// A grey picture with a mask of its invalid pixels. Without a mask, all pixels are valid.
 pub(super) struct Grey {
     pub(super) levels: Plane<u8>,
     pub(super) outside: Option<Plane<bool>>,
 }
 
-/// Added to grey values before the logarithm, so that noise near black has no edges.
+/// This is added to grey values before the logarithm is taken, so that noise near black does not give edges.
 const BLACK: f64 = 8.0;
-/// Standard deviation of the smoothing before differentiation, in pixels.
+/// Standard deviation of the Gaussian smoothing before the gradient is computed, in pixels.
 const SMOOTHING: f64 = 0.8;
-/// Fraction of the pixels whose edges are shown at full strength.
+/// This fraction of the pixels, those with the largest gradients, is shown at full strength.
 const STRONGEST: f64 = 0.02;
 
-/// The strength of edges.
+/// The strength of the edges in a picture.
 pub(super) struct Edges {
     /// Strength at each pixel, 0..=255.
     pub(super) strength: Plane<u8>,
-    /// Sobel gradient of log(code) that is shown as 255.
+    /// The Sobel gradient of the logarithm of grey values that has the strength 255.
     pub(super) full: f32,
 }
 
-/// Distance in pixels to which smoothing and differentiation spread invalid values.
+/// An invalid pixel affects gradients up to this distance, in pixels, through smoothing and the Sobel filter.
 const REACH: usize = 3;
 
 impl Grey {
@@ -68,8 +69,8 @@ impl Grey {
         Grey { levels, outside: None }
     }
 
-    /// Returns the edges. The strongest edges of the picture are shown at full strength, but only if their gradient is
-    /// at least `least`.
+    /// Returns the edges. The strongest edges of the picture have the full strength of 255 if their gradient is at
+    /// least `least`. If it is smaller, all edges are weaker.
     pub(super) fn edges(&self, least: f32) -> Edges {
         let (width, height) = (self.levels.width(), self.levels.height());
         let logarithms: [f32; 256] = std::array::from_fn(|v| libm::log(v as f64 + BLACK) as f32);
@@ -80,7 +81,7 @@ impl Grey {
         });
         let smooth = gaussian(&log, SMOOTHING);
         let strength = Plane::from_rows(width, height, |y, row: &mut [f32]| {
-            // Pixels at the border do not have all neighbours; their strength stays 0.
+            // Pixels at the border lack neighbours for the gradient, so their strength stays 0.
             if y == 0 || y + 1 >= height || width < 3 {
                 return;
             }
@@ -103,7 +104,7 @@ impl Grey {
         Edges { strength, full }
     }
 
-    /// Returns whether no invalid pixel is within [`REACH`] pixels.
+    /// Returns whether all pixels within [`REACH`] pixels of (x, y) are valid.
     fn is_inside(&self, x: usize, y: usize) -> bool {
         let Some(outside) = &self.outside else { return true };
         let near = |v: usize, n: usize| v.saturating_sub(REACH)..(v + REACH + 1).min(n);
@@ -133,14 +134,14 @@ mod tests {
         let exposure = crate::bracket::exposure::Exposure::given(0.0).unwrap();
         let frame = Frame::new("x".into(), size.0, size.1, samples, exposure);
         let after = laid(&grey, &truth, &frame).edges(LEAST_FULL).strength;
-        // The border of the frame must not count as an edge. Shifted by 14 px and rotated by 1 deg, it is in columns
-        // 343 to 347.
+        // The border of the frame must not count as an edge. Because the frame is shifted by 14 px and rotated by 1
+        // deg, this border is in columns 343 to 347.
         assert!((0..size.1).all(|y| after.row(y)[345..].iter().all(|v| *v == 0)));
         let after = mean_min(&reference, &after);
         let (before, most) =
             (mean_min(&reference, &Grey::whole(grey).edges(LEAST_FULL).strength), mean_min(&reference, &reference));
-        // The rest of the difference is due to noise, resampling, and a strip of 14 of 360 px that the frame does not
-        // cover.
+        // After alignment, a difference remains because of noise, resampling, and a strip that the frame does not
+        // cover (14 of 360 columns).
         assert!(most - after < 0.5 * (most - before), "{before} {after} {most}");
     }
 

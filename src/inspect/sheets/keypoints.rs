@@ -1,8 +1,9 @@
-//! Keypoints on a frame: of the photograph, of its bitmap, and of both.
+//! Draws the keypoints of a frame: those in the photograph, those in its bitmaps, and those in both.
 //!
-//! In: a frame and its features. Out: a drawing with a circle for each keypoint, whose radius is the scale, and a
-//! tick in its direction. Cost: about 70 bytes per keypoint. Source: the figures of chapter 4 of the thesis, in
-//! colours that can be distinguished with colour blindness (after Okabe & Ito 2008).
+//! In: a frame and its features. Out: a drawing with a circle for each keypoint. The radius is the scale of the
+//! keypoint, and a tick shows its direction. Cost: about 70 bytes per keypoint. Source: the figures in chapter 4 of
+//! the thesis on which hdralign is based. The colours can be distinguished with colour blindness (after Okabe & Ito
+//! 2008).
 
 use super::layout::{Entry, Mark, Page};
 use super::photograph::Photograph;
@@ -10,17 +11,19 @@ use crate::align::diagnostics::FrameFeatures;
 use crate::align::features::Keypoint;
 use crate::draw::svg::{Colour, Drawing, Path, Pen};
 
-/// Colour of keypoints that only the photograph has, not the bitmap: light vermilion.
+/// Colour of keypoints that were found only in the photograph: light vermilion.
 const PLAIN: Colour = Colour(255, 122, 46);
-/// Colour of keypoints that only the bitmap has: sky blue.
+/// Colour of keypoints that were found only in the bitmaps: sky blue.
 const MTB: Colour = Colour(86, 196, 255);
-/// Colour of keypoints that both have: yellow.
+/// Colour of keypoints that were found in both: yellow.
 const BOTH: Colour = Colour(250, 236, 60);
 
-/// Smallest radius of a circle, in pixels of the page; a smaller circle would look like a dot without direction.
+/// Smallest radius of a circle, in pixels of the page. A smaller circle would look like a dot, and its direction
+/// could not be seen.
 const LEAST_RADIUS: f64 = 2.5;
 
-/// Returns the keypoints that only the photograph has, that only its bitmaps have, and that both have.
+/// Returns three lists of keypoints: those found only in the photograph, those found only in its bitmaps, and those
+/// found in both.
 pub(crate) fn layers(features: &FrameFeatures) -> [Vec<Keypoint>; 3] {
     let ([plain, mtb], [in_mtb, in_plain]) = (features.keypoints(), features.found_twice());
     let some = |points: &[Keypoint], twice: &[bool], wanted: bool| {

@@ -1,36 +1,37 @@
-//! The page of a sheet: a title, a legend, space for the drawing, and notes below, for any width.
+//! The page of a sheet: a title, a legend, space for the drawing, and notes below it.
 //!
-//! In: texts. Out: a [`Drawing`] and the corner of its content. Cost: negligible.
+//! In: texts. Out: a [`Drawing`], and the upper left corner of the space for the content. Cost: negligible.
 
 use crate::draw::svg::{Anchor, Area, Colour, Drawing, Path, Pen};
 use crate::draw::text;
 
-/// Size of the title, in pixels.
+/// Size of the font of the title, in pixels.
 pub(super) const TITLE: f64 = 22.0;
-/// Size of other text, in pixels.
+/// Size of the font of other text, in pixels.
 pub(super) const TEXT: f64 = 17.0;
-/// Margin around the page, in pixels.
+/// Width of the empty margin of the page, in pixels.
 const MARGIN: f64 = 20.0;
-/// Distance of lines of text, relative to the text size.
+/// Distance between two lines of text, divided by the font size.
 const LEADING: f64 = 1.45;
-/// Distance from the start of a sample of the legend to the start of its text, in pixels.
+/// Width of the colour sample of a legend entry, in pixels.
 const SAMPLE: f64 = 34.0;
-/// Distance between entries of the legend, in pixels.
+/// Distance between two entries of the legend, in pixels.
 const GAP: f64 = 28.0;
 /// Smallest width of a page, in pixels, so that its texts have room.
 const LEAST_WIDTH: f64 = 700.0;
 
-/// Background of legend samples whose colours are chosen to be visible on photographs.
+/// Background of the legend samples of keypoints and lines, whose colours are chosen for a dark photograph behind
+/// them.
 const DARK: Colour = Colour(56, 56, 56);
 
-/// An entry of the legend: the meaning of a colour.
+/// An entry of the legend: a colour and its meaning.
 pub(super) struct Entry {
     pub(super) mark: Mark,
     pub(super) colour: Colour,
     pub(super) words: String,
 }
 
-/// The sample of a legend entry.
+/// The shape that is drawn as the sample of a legend entry.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Mark {
     /// A circle with a tick, on a dark background.
@@ -41,14 +42,14 @@ pub(super) enum Mark {
     Patch,
 }
 
-/// A drawing with title, legend and notes, and the upper left corner of the space for its content.
+/// A drawing with title, legend and notes. `corner` is the upper left corner of the space for its content.
 pub(super) struct Page {
     pub(super) drawing: Drawing,
     pub(super) corner: (f64, f64),
 }
 
 impl Page {
-    /// Creates a page around content of `size` pixels.
+    /// Creates a page with space for content of `size` pixels.
     pub(super) fn new(title: &str, legend: &[Entry], size: (f64, f64), notes: &str) -> Self {
         let inner = size.0.max(LEAST_WIDTH - 2.0 * MARGIN);
         let lines = if notes.is_empty() { Vec::new() } else { text::wrap(notes, TEXT, inner) };
@@ -80,7 +81,7 @@ impl Page {
     }
 }
 
-/// Divides the legend's entries into rows of at most `most` pixels.
+/// Divides the entries of the legend into rows that are at most `most` pixels wide.
 fn rows(legend: &[Entry], most: f64) -> Vec<Vec<&Entry>> {
     let mut rows: Vec<(f64, Vec<&Entry>)> = Vec::new();
     for entry in legend {

@@ -1,7 +1,7 @@
-//! Drawing of the matches: reference and frame side by side, with lines between matching keypoints.
+//! Draws matches: the reference frame and a frame side by side, with lines between matching keypoints.
 //!
-//! In: two frames and their matches. Out: a drawing with inliers and outliers of the robust fit in two colours. Cost:
-//! some 50 bytes per match.
+//! In: two frames and their matches. Out: a drawing in which inliers and outliers of the robust estimator have
+//! different colours. Cost: some 50 bytes per match.
 
 use super::layout::{Entry, Mark, Page, TEXT};
 use super::photograph::Photograph;
@@ -11,19 +11,21 @@ use crate::draw::svg::{Anchor, Area, Colour, Drawing, Path, Pen};
 const INLIER: Colour = Colour(86, 196, 255);
 const OUTLIER: Colour = Colour(255, 122, 46);
 
-/// Largest number of lines; more lines would hide each other.
+/// Largest number of lines that are drawn. More lines would hide each other.
 const MOST_LINES: usize = 160;
 /// Distance between the two frames, in pixels.
 const GAP: f64 = 16.0;
-/// Height of the names above the frames, in pixels.
+/// Height of the line of text above each frame, which names it, in pixels.
 const NAMES: f64 = 26.0;
 
-/// Returns the smallest n for which a line for every n-th match gives at most [`MOST_LINES`] lines.
+/// Returns n such that drawing a line for every n-th match gives at most [`MOST_LINES`] lines. It is the smallest
+/// such n.
 fn stride(matches: usize) -> usize {
     matches.div_ceil(MOST_LINES).max(1)
 }
 
-/// Draws `matching` between the reference, on the left, and a frame, on the right; each is given with its name.
+/// Draws `matching`: the reference frame on the left, a frame on the right. Each is given as its name and its
+/// photograph.
 pub(in crate::inspect) fn draw(
     title: &str,
     [reference, frame]: [(&str, &Photograph); 2],
@@ -94,8 +96,8 @@ mod tests {
         let inlier = (0..321).map(|i| i % 2 == 0).collect();
         let matching = Matching { pairs, inlier, transform: Some(Transform::Identity) };
         let svg = draw("t", [("a", &photograph), ("b", &photograph)], &matching).unwrap().to_svg();
-        // In the SVG, a circle is two arcs (`a`) and a line one `L`. Each match has two circles, and every third a
-        // line.
+        // In the SVG, a circle consists of two arcs (`a`), and a line has one `L`. Each match has two circles, and
+        // every third match has a line.
         let count =
             |pen, letter| svg.lines().filter(|l| l.contains(pen)).map(|p| p.matches(letter).count()).sum::<usize>();
         assert_eq!(count("fill-opacity=\"0.9\"", "a1.6 1.6"), 2 * 2 * 321);

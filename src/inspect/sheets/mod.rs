@@ -1,7 +1,7 @@
-//! Sheets: the drawings of an inspection (`edges`, `overlay` and `views` are for edges), and that of a response.
+//! Sheets: the drawings of an inspection, and the drawing of a response. `edges`, `overlay` and `views` draw edges.
 //!
-//! In: the data of an [inspection](super). Out: [drawings](crate::draw::svg), and pictures for a page. Cost: some
-//! tenths of a second per sheet.
+//! In: the data of an [inspection](super). Out: [drawings](crate::draw::svg), and pictures for the HTML report. Cost:
+//! some tenths of a second per sheet.
 
 pub(super) mod curves;
 mod edges;

@@ -1,31 +1,31 @@
-//! The overlay: the edges of a frame over those of the reference, as two pictures of equal size before and after
-//! alignment, which the user compares by switching between them.
+//! The overlay: the edges of a frame and of the reference frame in one picture. There are two pictures of equal size,
+//! one before and one after alignment. The user compares them by switching between them.
 //!
-//! In: two frames and a transform. Out: an [`Overlay`]: the whole picture and, if the photographs are large enough,
-//! below it a row of details at twice their size, in which half a pixel is visible. Cost: that of drawing a sheet of
-//! edges; the colours are the same.
+//! In: two frames and a transform. Out: an [`Overlay`]. It shows the whole picture. If the photographs are large
+//! enough, a row of details follows below, at twice their size, so that an offset of half a pixel is visible. Cost:
+//! that of drawing a sheet of edges (`views`), which has the same colours.
 
 use super::views::{BOX, Couple, DETAIL_GAP, Detail, MAGNIFIED, Views, two_colours};
 use crate::plane::Plane;
 
-/// Strength, of 255, up to which edges are noise. They are not shown here, because they would outnumber all other
-/// edges.
+/// Edges up to this strength (of 255) are mostly noise. They are not shown here, because they would outnumber all
+/// other edges.
 const NOISE: u16 = 26;
 /// Line width of the boxes around the details, in pixels.
 const PEN: usize = 2;
 
-/// The edges of a frame over those of the reference.
+/// The edges of a frame drawn over the edges of the reference frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Overlay {
     /// The edges as photographed, before alignment.
     pub before: Plane<[u8; 3]>,
     /// The edges after alignment; `None` if the frame was rejected.
     pub after: Option<Plane<[u8; 3]>>,
-    /// Number of rows that show the whole picture; the rows below them show the details.
+    /// Number of rows that show the whole picture. The rows below them, if any, show the details.
     pub whole_rows: usize,
 }
 
-/// Returns the overlay of the reference and frame in `couple`, at most `most` pixels wide.
+/// Returns the overlay of the two frames in `couple`, at most `most` pixels wide.
 pub(in crate::inspect) fn of(couple: &Couple, most: usize) -> Result<Overlay, String> {
     let views = Views::new(couple, (most, most), false);
     let (width, height) = (views.reference.strength.width(), views.reference.strength.height());
@@ -46,7 +46,7 @@ pub(in crate::inspect) fn of(couple: &Couple, most: usize) -> Result<Overlay, St
     Ok(Overlay { before: picture(0)?, after, whole_rows: height })
 }
 
-/// Returns `strength` without edges up to [`NOISE`]; the strongest edges keep their strength.
+/// Returns `strength` scaled so that [`NOISE`] and weaker edges become 0, and 255 stays 255.
 fn plain(strength: &Plane<u8>) -> Plane<u8> {
     Plane::from_rows(strength.width(), strength.height(), |y, row: &mut [u8]| {
         for (v, s) in row.iter_mut().zip(strength.row(y)) {
@@ -55,8 +55,8 @@ fn plain(strength: &Plane<u8>) -> Plane<u8> {
     })
 }
 
-/// Copies `picture` to `sheet` with its upper left corner at `corner`, every pixel as a square with sides of `side`
-/// pixels; parts outside of the sheet are dropped.
+/// Copies `picture` into `sheet`, with its upper left corner at `corner`. Each pixel becomes a square of `side` x
+/// `side` pixels. Parts outside of the sheet are not copied.
 fn put(sheet: &mut Plane<[u8; 3]>, corner: (usize, usize), side: usize, picture: &Plane<[u8; 3]>) {
     let rows = (picture.height() * side).min(sheet.height().saturating_sub(corner.1));
     for y in 0..rows {
@@ -66,7 +66,8 @@ fn put(sheet: &mut Plane<[u8; 3]>, corner: (usize, usize), side: usize, picture:
     }
 }
 
-/// Draws a box around `place` of a photograph of `full` pixels, which is `size` pixels large on the sheet.
+/// Draws a box around the detail `place`. The photograph has `full` pixels, and is drawn with `size` pixels on the
+/// sheet.
 fn frame_place(sheet: &mut Plane<[u8; 3]>, place: &Detail, size: (usize, usize), full: (usize, usize)) {
     let at = |v: usize, most: usize, of: usize| (v * most / of).min(most - 1);
     let (left, right) = (at(place.x, size.0, full.0), at(place.x + place.width, size.0, full.0));
@@ -91,7 +92,7 @@ mod tests {
     use crate::bracket::exposure::Exposure;
     use crate::bracket::{Frame, Samples};
 
-    /// Returns the number of pixels with only one of the two colours: edges that are only in one frame.
+    /// Returns the number of pixels that have only one of the two colours, because only one frame has an edge there.
     fn alone(sheet: &Plane<[u8; 3]>) -> usize {
         sheet.as_slice().iter().filter(|[r, _, b]| r.abs_diff(*b) > 90).count()
     }
@@ -116,9 +117,10 @@ mod tests {
         let after = overlay.after.unwrap();
         assert_eq!((after.width(), overlay.whole_rows), (450, 300));
         assert_eq!((after.width(), after.height()), (overlay.before.width(), overlay.before.height()));
-        // The whole picture has 300 rows; below it is a row of details.
+        // The whole picture has 300 rows. Below it follows a row of details.
         assert!(after.height() > 350);
-        // Edges in one colour that remain are noise, or in the strip that the frame does not cover.
+        // After alignment, few edges in only one colour remain: noise, and edges in the strip that the frame does not
+        // cover.
         assert!(2 * alone(&after) < alone(&overlay.before), "{} {}", alone(&after), alone(&overlay.before));
         assert!(of(&couple(None), 450).unwrap().after.is_none());
     }

@@ -1,33 +1,35 @@
-//! Photographs in a drawing: the grey values of a frame, scaled, and brightened where it is too dark to see.
+//! Photographs in a drawing: the grey values of a frame, scaled to the page. Dark frames are brightened, so that they
+//! can be seen.
 //!
-//! In: grey planes of any size. Out: [`Photograph`]s. Cost: a pass over the plane.
+//! In: grey values of frames of any size. Out: [`Photograph`]s. Cost: one pass over the pixels.
 
 use crate::draw::image::png_grey;
 use crate::draw::scale::reduce;
 use crate::draw::svg::{Area, Drawing};
 use crate::plane::Plane;
 
-/// A frame as it is drawn: in grey values on which coloured marks are visible.
+/// A frame as it is drawn: grey values that are dark enough for coloured marks to be visible on them.
 pub(in crate::inspect) struct Photograph {
-    /// The grey values as shown.
+    /// The grey values as displayed.
     pub(in crate::inspect) grey: Plane<u8>,
     /// Width and height of the frame, in pixels.
     full: (usize, usize),
-    /// Pixels of the page per pixel of `grey`.
+    /// Width and height of a pixel of `grey` on the page, in pixels of the page.
     magnified: f64,
-    /// Whether the frame is shown brighter than it is.
+    /// Whether the frame is displayed brighter than it is.
     pub(in crate::inspect) brightened: bool,
 }
 
-/// Darkest displayed grey value.
+/// The grey value with which black is displayed.
 const DARKEST: f64 = 12.0;
-/// Brightest displayed grey value; marks in full colours are visible on it.
+/// The grey value with which white is displayed. Marks in saturated colours are visible on it.
 const BRIGHTEST: f64 = 184.0;
-/// Fraction of the displayed range to which a darker median is raised, if a moderate power is enough.
+/// A darker median is raised to this fraction of the displayed range, but with an exponent of at least 0.45.
 const LEAST_MEDIAN: f64 = 0.25;
 
 impl Photograph {
-    /// Scales `frame` to at most `most` pixels in width and height; a small frame is magnified by an integer factor.
+    /// Scales `frame` so that width and height are at most `most` pixels. A small frame is magnified by an integer
+    /// factor.
     pub(in crate::inspect) fn new(frame: &Plane<u8>, most: (usize, usize)) -> Self {
         let small = reduce(frame, most);
         let fits = (most.0 / small.width()).min(most.1 / small.height()).max(1);
@@ -40,24 +42,24 @@ impl Photograph {
         Photograph { grey, full: (frame.width(), frame.height()), magnified: fits as f64, brightened }
     }
 
-    /// Returns the width and height on the page, in pixels.
+    /// Returns the width and height of the photograph on the page, in pixels of the page.
     pub(in crate::inspect) fn size(&self) -> (f64, f64) {
         (self.grey.width() as f64 * self.magnified, self.grey.height() as f64 * self.magnified)
     }
 
-    /// Returns the pixels of the page per pixel of the frame.
+    /// Returns the width of a pixel of the frame on the page, in pixels of the page.
     pub(in crate::inspect) fn scale(&self) -> f64 {
         self.size().0 / self.full.0 as f64
     }
 
-    /// Returns the position on the page of the pixel (x, y) of the frame, if the upper left corner of the photograph is
-    /// at `corner`.
+    /// Returns the position on the page of the pixel (x, y) of the frame. `corner` is the upper left corner of the
+    /// photograph on the page.
     pub(in crate::inspect) fn place(&self, corner: (f64, f64), x: f64, y: f64) -> (f64, f64) {
         let (w, h) = self.size();
         (corner.0 + (x + 0.5) * w / self.full.0 as f64, corner.1 + (y + 0.5) * h / self.full.1 as f64)
     }
 
-    /// Draws the photograph on `page` with its upper left corner at `corner`, and returns its area.
+    /// Draws the photograph on `page`, with its upper left corner at `corner`. Returns the area that it covers.
     pub(in crate::inspect) fn put(&self, page: &mut Drawing, corner: (f64, f64)) -> Result<Area, String> {
         let (width, height) = self.size();
         let area = Area { x: corner.0, y: corner.1, width, height };
@@ -66,8 +68,9 @@ impl Photograph {
     }
 }
 
-/// Returns the displayed value of each grey value, and whether the picture is brightened. The brightest 0.2 % of the
-/// pixels become white, a dark median is raised, and in a dark frame the camera's black level becomes black.
+/// Returns the displayed value for each grey value, and whether the picture is brightened. The brightest 0.2 % of the
+/// pixels are displayed as white. If the median is dark, it is raised. In a dark frame, the darkest 1 % of the pixels
+/// are displayed as black, because the camera's black level may be above 0.
 fn shown(grey: &Plane<u8>) -> ([u8; 256], bool) {
     let mut counts = [0usize; 256];
     for &v in grey.as_slice() {

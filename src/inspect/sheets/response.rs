@@ -1,8 +1,8 @@
-//! The response as a plot: stops of exposure over code values.
+//! Draws the response as a plot: the exposure in stops (vertical) over the code value (horizontal).
 //!
-//! In: a [`ResponseCurve`] and the samples from which it was recovered. Out: a drawing, and its bytes as SVG or PNG, by
-//! the extension of a file. Cost: some thousand dots; 0.1 s as PNG. Source: figure 7 of Debevec & Malik 1997, with
-//! exchanged axes.
+//! In: a [`ResponseCurve`], and the samples from which it was recovered. Out: a drawing, and its encoding as SVG or
+//! PNG, which is chosen by the extension of the file. Cost: drawing some thousand dots, and 0.1 s for a PNG file.
+//! Source: figure 7 of Debevec & Malik 1997, with the axes exchanged.
 
 use super::layout::{Entry, Mark, Page};
 use crate::draw::plot::{Axis, Plot};
@@ -15,7 +15,8 @@ use std::f64::consts::LN_2;
 use std::io;
 use std::path::Path as FilePath;
 
-/// Colours that can be distinguished with red-green colour blindness: Okabe & Ito's vermilion, green and blue.
+/// The colours of the channels. They can be distinguished with red-green colour blindness: vermilion, green and blue
+/// of Okabe & Ito.
 const CHANNELS: [(Colour, &str); 3] =
     [(Colour(213, 94, 0), "red"), (Colour(0, 158, 115), "green"), (Colour(0, 114, 178), "blue")];
 const SRGB: Colour = Colour(70, 70, 70);
@@ -30,12 +31,13 @@ const LEFT: f64 = 70.0;
 const BELOW: f64 = 60.0;
 /// Space above the plot, in pixels.
 const ABOVE: f64 = 10.0;
-/// Largest number of samples (places of the scene) that are drawn per channel.
+/// Largest number of samples (points of the scene) that are drawn for each channel.
 const DOTS: usize = 600;
-/// Lowest exposure that is drawn, in stops below the exposure of code value 128; that of code value 0 is not known.
+/// The plot shows exposures down to this many stops below code value 128. It needs a limit, because the exposure of
+/// code value 0 is not known.
 const DEEPEST: f64 = 14.0;
 
-/// Draws `curve` with the `samples` from which it was recovered, if any; `title` names the camera.
+/// Draws `curve` and, if there are any, the `samples` from which it was recovered. `title` names the camera.
 pub fn draw(title: &str, curve: &ResponseCurve, samples: &Drawn, notes: &str) -> Drawing {
     let mut legend: Vec<Entry> =
         CHANNELS.iter().map(|&(colour, name)| Entry { mark: Mark::Patch, colour, words: name.into() }).collect();
@@ -46,7 +48,7 @@ pub fn draw(title: &str, curve: &ResponseCurve, samples: &Drawn, notes: &str) ->
     let stops = |ln: f64| ln / LN_2;
     let srgb = ResponseCurve::srgb();
     let lines = (0..3).map(|c| curve.ln_exposure(c)).chain([srgb.ln_exposure(1)]);
-    // The vertical axis starts at the exposure of code value 1, but not below DEEPEST.
+    // The vertical axis starts at the exposure of code value 1, but at most `DEEPEST` stops below code value 128.
     let (low, high) = lines.fold((f64::MAX, f64::MIN), |(low, high), g| (low.min(g[1]), high.max(g[CODES - 1])));
     let up = Axis::round(stops(low).max(-DEEPEST), stops(high), 10, "exposure in stops; 0 gives code value 128");
     let x = Axis::at(0.0, 255.0, [0, 32, 64, 96, MID, 160, 192, 224, 255], "code value");
@@ -73,21 +75,22 @@ pub fn draw(title: &str, curve: &ResponseCurve, samples: &Drawn, notes: &str) ->
     page.drawing
 }
 
-/// Returns a pair for each frame that shows the place `sample`: the frame's code value there, and ln(E dt). E is the
-/// radiance of the place that fits the response `g` best, and dt is the exposure time of the frame.
+/// Returns the dots of `sample`, a point of the scene: one pair for each frame that shows it. The first number is the
+/// frame's code value there. The second is ln(E t), where E is the radiance of the point that agrees best with the
+/// response `g`, and t is the exposure time of the frame.
 fn placed<'a>(sample: &'a Sample, g: &'a [f64; CODES]) -> impl Iterator<Item = (f64, f64)> + 'a {
     let weights = sample.views.iter().map(|v| (hat(v.code) + 1e-6, at(g, v.code) - v.ln_time));
     let (weight, sum) = weights.fold((0.0, 0.0), |(a, b), (w, ln_e)| (a + w, b + w * ln_e));
     sample.views.iter().map(move |v| (v.code, sum / weight + v.ln_time))
 }
 
-/// A function that encodes a drawing as the content of a file, or returns the reason why this is not possible.
+/// A function that encodes a drawing as the content of a file. If this is not possible, it returns the reason.
 pub type Encode = fn(&Drawing) -> std::result::Result<Vec<u8>, String>;
 
-/// Returns the encoder for the file `path`, by its extension in upper or lower case.
+/// Returns the encoder for the file `path`. It depends on the extension, in upper or lower case.
 ///
 /// # Errors
-/// [`Error::UnknownExtension`].
+/// [`Error::UnknownExtension`] if the extension is neither svg nor png.
 pub fn format(path: &FilePath) -> Result<Encode> {
     match path.extension().unwrap_or_default().to_string_lossy().to_lowercase().as_str() {
         "svg" => Ok(|drawing| Ok(drawing.to_svg().into_bytes())),
@@ -99,7 +102,7 @@ pub fn format(path: &FilePath) -> Result<Encode> {
 /// Encodes `drawing` as the content of the file `path`.
 ///
 /// # Errors
-/// [`Error::UnknownExtension`]; [`Error::Write`] if it cannot be drawn.
+/// [`Error::UnknownExtension`]; [`Error::Write`] if the drawing cannot be encoded.
 pub fn encode(drawing: &Drawing, path: &FilePath) -> Result<Vec<u8>> {
     let failed = |reason: String| Error::Write { path: path.to_owned(), source: io::Error::other(reason) };
     format(path)?(drawing).map_err(failed)
@@ -127,7 +130,7 @@ mod tests {
         let png = encode(&drawing, FilePath::new("a.PNG")).unwrap();
         let picture = image::load_from_memory(&png).unwrap().to_rgb8();
         assert_eq!((picture.width() as usize, picture.height() as usize), (drawing.width(), drawing.height()));
-        // The curves of the three channels coincide; blue is drawn last, over the others.
+        // The curves of the three channels coincide. The blue curve is drawn last, so it covers the others.
         assert!(picture.pixels().filter(|p| p.0[2] > 130 && p.0[0] < 90).count() > 500);
         assert!(encode(&drawing, FilePath::new("a.pdf")).is_err());
     }

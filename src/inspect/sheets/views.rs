@@ -1,7 +1,9 @@
-//! Views: the edges of the reference and of a frame in two colours that add up to white, before and after alignment.
+//! Views: the edges of the reference frame and of another frame in one picture, one view before alignment and one
+//! after. The two frames have different colours, which add up to white where both have an edge.
 //!
-//! In: two frames and a transform. Out: [`Views`]: the whole picture and details at twice their size, in which half a
-//! pixel is visible; as a drawing for a file. Cost: two passes over the pictures at the drawn size.
+//! In: two frames and a transform. Out: [`Views`] with the whole picture and some details at twice their size, in
+//! which an offset of half a pixel is visible; and their drawing for a file. Cost: two passes over the pictures at
+//! the drawn size.
 
 use super::edges::{Edges, Grey, laid};
 use super::layout::{Entry, Mark, Page, TEXT};
@@ -13,9 +15,9 @@ use crate::draw::scale::reduce;
 use crate::draw::svg::{Anchor, Area, Colour, Drawing, Pen};
 use crate::plane::Plane;
 
-/// Colour of the edges of the reference; it adds up to white with [`FRAME`].
+/// Colour of the edges of the reference frame. [`REFERENCE`] and [`FRAME`] add up to white.
 const REFERENCE: Colour = Colour(255, 140, 0);
-/// Colour of the edges of the frame.
+/// Colour of the edges of the other frame.
 const FRAME: Colour = Colour(0, 115, 255);
 
 /// Colour of the boxes around the details.
@@ -23,7 +25,7 @@ pub(super) const BOX: Colour = Colour(255, 240, 0);
 
 /// Largest width and height of one view (before or after alignment), in pixels of the page.
 const SIDE: (usize, usize) = (780, 780);
-/// Distance between the two views, in pixels.
+/// Distance between the view before alignment and the view after alignment, in pixels.
 const GAP: f64 = 16.0;
 /// Distance between a view and its details, and between two details, in pixels.
 pub(super) const DETAIL_GAP: f64 = 8.0;
@@ -31,23 +33,25 @@ pub(super) const DETAIL_GAP: f64 = 8.0;
 const NAMES: f64 = 26.0;
 /// Number of details in the row below each of the two views.
 const DETAILS: usize = 3;
-/// Magnification of a detail.
+/// Magnification of a detail: pixels of the page for each pixel of the photograph.
 pub(super) const MAGNIFIED: usize = 2;
-/// Distance between details, as a fraction of the diagonal, beyond which a larger distance is no advantage.
+/// Details should be far apart. From this distance on, given as a fraction of the diagonal, a larger distance is no
+/// further advantage.
 const APART: f64 = 0.35;
-/// Smallest gradient that is shown at full strength, so that noise is faint in a picture without contrast.
+/// Gradients are shown at full strength only if they are at least this large, so that noise is faint in a picture
+/// without contrast.
 pub(super) const LEAST_FULL: f32 = 0.05;
-/// Smallest gradient that is shown at full strength in a detail (an enlarged area), as a fraction of the gradient from
-/// which on the view of the whole picture shows full strength.
+/// In a detail (an enlarged area), gradients are shown at full strength only if they are at least this fraction of
+/// the gradient that has full strength in the view of the whole picture.
 const FAINT_DETAIL: f32 = 0.6;
 
-/// The reference and a frame, with the transform between them.
+/// The reference frame and another frame, with the transform between them.
 pub(in crate::inspect) struct Couple<'a> {
     pub(in crate::inspect) reference: &'a Frame,
     pub(in crate::inspect) frame: &'a Frame,
     pub(in crate::inspect) reference_grey: &'a Plane<u8>,
     pub(in crate::inspect) frame_grey: &'a Plane<u8>,
-    /// Maps pixels of the reference to pixels of the frame; `None` if the frame was rejected.
+    /// Maps pixels of the reference frame to pixels of the other frame; `None` if that frame was rejected.
     pub(in crate::inspect) warp: Option<Transform>,
 }
 
@@ -55,17 +59,18 @@ pub(in crate::inspect) struct Couple<'a> {
 pub(super) struct Views<'a> {
     couple: &'a Couple<'a>,
     pub(super) reference: Edges,
-    /// The edges of the frame as photographed and, unless it was rejected, as aligned; each with the transform used.
+    /// The edges of the frame before alignment and, unless it was rejected, after alignment. Each element also
+    /// contains the transform with which the frame was resampled.
     pub(super) frame: Vec<(Transform, Edges)>,
-    /// Size of the whole picture in pixels of the page.
+    /// Width and height of the whole picture on the page, in pixels of the page.
     pub(super) size: (f64, f64),
-    /// The rectangles that are also shown magnified.
+    /// The areas that are also drawn magnified.
     pub(super) details: Vec<Detail>,
 }
 
 impl<'a> Views<'a> {
-    /// Returns the edges of `couple` for pictures of at most `most` pixels in width and height. If `may_grow`, a small
-    /// picture is magnified by an integer factor.
+    /// Returns the edges of `couple`, in pictures of at most `most` pixels in width and height. If `may_grow` is
+    /// true, a small picture is magnified by an integer factor on the page.
     pub(super) fn new(couple: &'a Couple, most: (usize, usize), may_grow: bool) -> Self {
         let whole = reduce(couple.reference_grey, most);
         let times = (most.0 / whole.width()).min(most.1 / whole.height()).max(1);
@@ -81,8 +86,8 @@ impl<'a> Views<'a> {
         Views { couple, reference, frame, size, details }
     }
 
-    /// Returns the strengths of the edges in `detail`: of the reference, and of the frame in view `k` (0 before
-    /// alignment, 1 after).
+    /// Returns the strengths of the edges in `detail`: first those of the reference frame, then those of the other
+    /// frame in view `k` (0 is before alignment, 1 is after).
     pub(super) fn strengths(&self, detail: &Detail, k: usize) -> Result<[Plane<u8>; 2], String> {
         let (warp, view) = &self.frame[k];
         let still = detail.grey(self.couple.reference, &Transform::Identity)?;
@@ -92,7 +97,7 @@ impl<'a> Views<'a> {
     }
 }
 
-/// Draws the edges of the reference and frame in `couple`, before and after alignment.
+/// Draws the edges of the two frames in `couple`, before and after alignment.
 pub(in crate::inspect) fn draw(title: &str, couple: &Couple) -> Result<Drawing, String> {
     let views = Views::new(couple, SIDE, true);
     let (size, boxes) = (views.size, &views.details);
@@ -128,7 +133,7 @@ pub(in crate::inspect) fn draw(title: &str, couple: &Couple) -> Result<Drawing, 
     Ok(page.drawing)
 }
 
-/// A rectangle of the reference, in pixels of the reference.
+/// A rectangular area, in pixels of the reference frame.
 pub(super) struct Detail {
     pub(super) x: usize,
     pub(super) y: usize,
@@ -147,7 +152,7 @@ impl Detail {
         }
     }
 
-    /// Returns the grey values of `frame` in the detail, resampled as in the merge.
+    /// Returns the grey values of `frame` in this area, resampled with the method of the merge.
     fn grey(&self, frame: &Frame, warp: &Transform) -> Result<Grey, String> {
         let (columns, rows) = (self.x..self.x + self.width, self.y..self.y + self.height);
         let mut codes = vec![[0.0f32; 3]; self.width * self.height];
@@ -162,8 +167,8 @@ impl Detail {
     }
 }
 
-/// Selects [`DETAILS`] places with many edges in both `reference` and `view`, far from each other, sorted from left to
-/// right; none if the photograph is hardly larger than the details.
+/// Selects [`DETAILS`] areas that have many edges in both `reference` and `view` and are far from each other. Returns
+/// them from left to right. Returns none if the photograph is hardly larger than the details.
 fn details(reference: &Plane<u8>, view: &Plane<u8>, size: (f64, f64), couple: &Couple) -> Vec<Detail> {
     let (full_w, full_h) = (couple.reference.width(), couple.reference.height());
     let width = ((size.0 - (DETAILS - 1) as f64 * DETAIL_GAP) / (DETAILS * MAGNIFIED) as f64) as usize;
@@ -181,7 +186,7 @@ fn details(reference: &Plane<u8>, view: &Plane<u8>, size: (f64, f64), couple: &C
     let columns = (0..=across.saturating_sub(w)).step_by((w / 3).max(1));
     let places = columns.flat_map(|x| (0..=down.saturating_sub(h)).step_by((h / 3).max(1)).map(move |y| (x, y)));
     let rated: Vec<(f64, (usize, usize))> = places.map(|(x, y)| (common(x, y) as f64, (x, y))).collect();
-    // A distance above `far` is no further advantage.
+    // A distance of more than `far` is no further advantage.
     let far = APART * ((across * across + down * down) as f64).sqrt();
     let mut chosen: Vec<(usize, usize)> = Vec::new();
     while chosen.len() < DETAILS {
@@ -190,7 +195,7 @@ fn details(reference: &Plane<u8>, view: &Plane<u8>, size: (f64, f64), couple: &C
             ((dx * dx + dy * dy).sqrt() / far).min(1.0)
         };
         let merit = |(edges, at): (f64, (usize, usize))| chosen.iter().fold(edges, |m, c| m * apart(at, *c));
-        // Of places with equal merit, the first is chosen.
+        // If several areas have the same merit, the first is chosen.
         let best = rated.iter().copied().reduce(|a, b| if merit(b) > merit(a) { b } else { a });
         chosen.push(best.map_or((0, 0), |b| b.1));
     }
@@ -200,7 +205,8 @@ fn details(reference: &Plane<u8>, view: &Plane<u8>, size: (f64, f64), couple: &C
     chosen.into_iter().map(detail).collect()
 }
 
-/// Adds the edges of the reference and of the frame, each in its colour.
+/// Returns the sum of two pictures: the edges of the reference frame in one colour and the edges of the other frame
+/// in another colour.
 pub(super) fn two_colours(reference: &Plane<u8>, frame: &Plane<u8>) -> Plane<[u8; 3]> {
     let (a, b) = (REFERENCE.rgb(), FRAME.rgb());
     Plane::from_rows(reference.width(), reference.height(), |y, row| {

@@ -4,8 +4,9 @@
 //! a bound. Cost: one bilinear sample, which reads four pixels, for every block of 2 x 2 pixels, but at most four for
 //! each cell.
 //!
-//! Means are of exposures, not of code values: the mean code value of an edge stands for a different exposure in every
-//! frame. In a cell with a clipped code value the mean is a lower bound, with a black one an upper bound.
+//! Means are of exposures, not of code values, because the mean code value of an edge stands for a different exposure
+//! in every frame. In a cell with a clipped code value the mean is a lower bound of the radiance; in a cell with a
+//! black one it is an upper bound.
 
 use super::{CODES, Layer, Plane, Rect, ResponseCurve, Transform};
 use crate::align::transform::map;
@@ -144,8 +145,8 @@ pub fn average(layer: &Layer, region: Rect, side: usize, number: u16) -> Result<
     })
 }
 
-/// Returns the positions of the blocks of 2x2 pixels that are read of a cell: all in cells of up to 4x4 pixels; four in
-/// larger cells, with the second row of blocks shifted to other columns.
+/// Returns the positions, within a cell, of the blocks of 2x2 pixels that are read. In cells of up to 4x4 pixels all
+/// blocks are read. In larger cells four are read, with the second row of blocks shifted to other columns.
 fn blocks(side: usize) -> Vec<(usize, usize)> {
     let (half, step) = (side / 2, (side / 4).max(1));
     let rows = (0..half).step_by(step).enumerate();
@@ -172,13 +173,13 @@ fn averaged<T: Copy + Sync>(
     Plane::from_rows(region.width().div_ceil(side), region.height().div_ceil(side), |j, row| {
         for (i, cell) in row.iter_mut().enumerate() {
             let (mut sum, mut flags) = ([0.0f32; 3], 0u8);
-            // Each block of 2x2 pixels of the reference frame is sampled at its centre: without motion, bilinear
-            // interpolation gives the mean of the block.
+            // Each block of 2x2 pixels of the reference frame is sampled at its centre. If the frame is not displaced,
+            // bilinear interpolation gives the mean of the block.
             for (a, b) in &blocks {
                 let x = ((region.x0 + side * i + a) as f64 + 0.5).min((region.x1 - 1) as f64);
                 let y = ((region.y0 + side * j + b) as f64 + 0.5).min((region.y1 - 1) as f64);
                 let (u, v) = if still { (x, y) } else { map(&h, x, y) };
-                // Written so that NaN counts as outside.
+                // The condition is negated so that NaN counts as outside.
                 if !(u >= 0.0 && v >= 0.0 && u <= right && v <= bottom) {
                     flags |= OUTSIDE;
                     break;

@@ -1,28 +1,30 @@
 //! Evidence of motion: differences between a frame and the standard that exceed errors of noise, response and
 //! alignment.
 //!
-//! In: cells of a frame and of the standard, which it is compared with: the reference frame, and where that is clipped
-//! or black, another frame that agrees with it. Out: for each cell whether it moved. Cost: some 100 ns per cell, and
-//! 100 more where it differs.
+//! In: cells of a frame and of the standard. The standard is what the frame is compared with: the reference frame, or,
+//! where that is clipped or black, another frame that agrees with it. Out: for each cell whether it moved. Cost: some
+//! 100 ns per cell, and 100 more where it differs.
 //!
-//! The difference of a cell and channel is divided by its standard deviation, which is the root of the sum of the
-//! squares of
+//! The difference of a cell and channel is divided by its standard deviation: the root of the sum of the squares of
 //!
-//! - the noise of both code values, through the slope of the response;
-//! - a share of the radiance: `LEAST`, because response and exposures are not known better, or, if it is larger, the
-//!   spread that is [usual](super::usual) in the bracket (the usual bias is divided out first). It is `SHIFTED` instead
-//!   of `LEAST` where a channel is clipped, because that channel is mixed into the others. To this share is added
-//!   `LEAST` times the excess of the brightest channel over the channel in question, because cameras and JPEG mix the
-//!   channels differently at each exposure;
+//! - the noise of the code values of frame and standard, converted to radiance by the slope of the response;
+//! - a share of the radiance, explained below;
 //! - the gradient times `ASTRAY` pixels, for errors of alignment and differences of sharpness at edges.
 //!
-//! A clipped or black cell is only a bound of the radiance, and differs only if the bound is violated. Differences are
-//! averaged over larger and larger cells, and the strongest scale decides how much a cell differs. A connected region
-//! of cells that differ by half of what is certain has moved in either of two cases:
+//! The share of the radiance is at least `LEAST`, because response and exposures are not known more exactly. It is at
+//! least `SHIFTED` in cells with a clipped channel, because the camera mixes that channel into the other channels. If
+//! the spread that is [usual](super::usual) in the bracket is larger, the share is that spread (the usual bias is
+//! divided out first). `LEAST` times the excess of the brightest channel over the channel in question is added, because
+//! cameras and JPEG mix the channels differently at each exposure.
 //!
-//! - a cell in it differs certainly, and the [structure](super::structure) differs there too, and the ratio of frame
-//!   and standard changes all along the border of the region;
-//! - its border is long, and the ratio changes half as much as is certain all along the border.
+//! A clipped or black cell is only a bound of the radiance, and differs only if the bound is violated. Differences are
+//! averaged over larger and larger cells, and the scale with the strongest mean decides how much a cell differs. From a
+//! limit on, which depends on the strength of deghosting, a cell differs certainly. A connected region of cells that
+//! differ by at least half of this limit has moved in either of two cases:
+//!
+//! - A cell in it differs certainly, and its [structure](super::structure) differs too. The ratio of frame to standard
+//!   changes along the border of the region, on average by at least `EXPLAINED` times the limit.
+//! - The border of the region is long, and along it the ratio changes on average by at least half of the limit.
 
 use super::cells::{Cell, Meaning};
 use super::region;
@@ -33,36 +35,37 @@ use crate::pyramid::cells::row_between_cells;
 use crate::simd::log2;
 
 /// Two shares with the same value. First, the share of the radiance that is the lower limit of the standard deviation
-/// of a difference without motion. Second, the share of the brightest channel that may be mixed into another channel:
-/// lamp light on wood has sixteen times as much red as blue, so 6 % of the red equal the blue.
+/// of a difference without motion. Second, the share of the brightest channel that may be mixed into another channel.
+/// The second share matters for saturated colours: lamp light on wood has sixteen times as much red as blue, so 6 % of
+/// the red is as much as all of the blue.
 const LEAST: f32 = 0.06;
-/// The first share of [`LEAST`] for cells in which a channel is clipped. It is larger, because the camera has mixed the
-/// clipped channel into the others. Measured on saturated colours of four cameras.
+/// Replaces the first share of [`LEAST`] in cells with a clipped channel. It is larger, because the camera has mixed
+/// the clipped channel into the others. Measured on saturated colours of four cameras.
 const SHIFTED: f32 = 0.25;
 /// Factor from a small relative difference to octaves: log2(1 + x) is about x log2(e).
 const OCTAVES: f32 = std::f32::consts::LOG2_E;
-/// Pixels by which an edge may be displaced.
+/// Displacement of an edge, in pixels, that is expected without motion.
 const ASTRAY: f32 = 1.2;
 /// Differences are limited to this many standard deviations.
 const ENOUGH: f32 = 8.0;
 /// Factor on the mean difference at each scale, from the smallest to the largest, because means over more cells vary
 /// less.
 const SCALES: [f32; 4] = [1.0, 1.2, 1.6, 2.0];
-/// Largest factor by which the difference at one scale may exceed that at the next smaller scale: beside a moving
-/// object, the mean at the larger scale includes the object.
+/// Largest factor by which the difference at one scale may exceed that at the next smaller scale. Without this limit,
+/// cells beside a moving object would differ, because the mean at the larger scale includes the object.
 const RAISE: f32 = 2.0;
 
-/// Smallest mean change of the ratio along the border of a region that moved, relative to the limit of a certain
-/// difference. At the default strength, this limit is 4 standard deviations, so the mean change must be at least 1.2
-/// standard deviations. On twelve rendered brackets the mean change is 1.3 to 11 around motion, and 0.6 to 1.1 around
-/// walls of another colour and where exposures are wrong.
+/// Smallest mean change of the ratio of frame to standard along the border of a region that moved, as a fraction of the
+/// limit from which on a cell differs certainly. At the default strength, this limit is 4 standard deviations, so the
+/// mean change must be at least 1.2 standard deviations. On twelve rendered brackets the mean change is 1.3 to 11
+/// around motion, and 0.6 to 1.1 around walls of another colour and where exposures are wrong.
 const EXPLAINED: f32 = 0.3;
-/// Smallest number of border cells of a region that may have moved without a cell that differs certainly. If ten
-/// neighbours count as one cell, the mean change over this many cells varies by chance by less than 0.2 standard
-/// deviations.
+/// Smallest number of border cells of a region that may count as moved although no cell in it differs certainly. If ten
+/// neighbouring cells are counted as one independent value, chance changes the mean over this many cells by less than
+/// 0.2 standard deviations.
 const LONG: usize = 100;
 
-/// The standard and a frame, and their usual ratio.
+/// The standard, a frame, and the usual ratio of frame to standard.
 struct Pair<'a> {
     standard: &'a Plane<Cell>,
     frame: &'a Plane<Cell>,
@@ -73,13 +76,13 @@ struct Pair<'a> {
 
 /// One channel of a cell, in the standard and in the frame.
 struct Channel {
-    /// The radiance of the standard, and that of the frame without its usual bias.
+    /// The radiance of the standard, and that of the frame divided by its usual bias.
     radiance: [f32; 2],
     /// The squares of the relative noise of the standard and of the frame.
     noise: [f32; 2],
     /// The usual spread of the ratio of frame to standard.
     spread: f32,
-    /// Radiance of the brightest channel that may be mixed into this one.
+    /// Radiance that the camera may have mixed into this channel from the brightest channel.
     mixed: f32,
     /// Whether standard or frame is only a bound of the radiance, and the other is within that bound.
     is_within: bool,
@@ -93,8 +96,8 @@ impl Pair<'_> {
         if !s.is_bound(c) && !f.is_bound(c) {
             b /= bias;
         }
-        // A brighter frame is within the bound if the standard is clipped or the frame black; a darker frame if the
-        // standard is black or the frame clipped.
+        // A brighter frame agrees with the standard if the standard is clipped or the frame is black. A darker frame
+        // agrees with it if the standard is black or the frame is clipped.
         let is_within = match b > a {
             true => s.is_clipped(c) || f.is_black(c),
             false => s.is_black(c) || f.is_clipped(c),
@@ -133,7 +136,7 @@ impl Pair<'_> {
         })
     }
 
-    /// Returns the log ratios of all cells.
+    /// Returns for each cell log2 of the ratio of frame to standard, and its variance.
     fn ratios(&self) -> Plane<Ratio> {
         Plane::from_rows(self.standard.width(), self.standard.height(), |y, row: &mut [Ratio]| {
             for ((ratio, s), f) in row.iter_mut().zip(self.standard.row(y)).zip(self.frame.row(y)) {
@@ -141,8 +144,8 @@ impl Pair<'_> {
                     *ratio = Ratio::unknown();
                     continue;
                 }
-                // Twice [`SHIFTED`]: once for the ratio itself, and once because at the edge between a clipped cell and
-                // its neighbour the ratio is off by as much again.
+                // Twice [`SHIFTED`], for two reasons: the ratio itself is uncertain by this share, and at the edge
+                // between a clipped cell and its neighbour the ratio is off by as much again.
                 let least = if s.clips() || f.clips() { 2.0 * SHIFTED } else { 0.0 };
                 for c in 0..3 {
                     let Channel { radiance: [a, b], noise, spread, mixed, is_within } = self.channel(s, f, c);
@@ -162,8 +165,8 @@ fn brightest(cell: &Cell) -> f32 {
     cell.radiance.iter().copied().fold(0.0, f32::max)
 }
 
-/// Returns the square of the gradient of each channel, per cell, at column `x` of the middle row: by central
-/// differences.
+/// Returns the square of the gradient of each channel at column `x` of the middle row, by central differences, in
+/// radiance per cell.
 #[inline]
 fn steepness([above, row, below]: [&[Cell]; 3], x: usize) -> [f32; 3] {
     let (left, right) = (&row[x.max(1) - 1].radiance, &row[(x + 1).min(row.len() - 1)].radiance);
@@ -252,15 +255,16 @@ pub fn moved(
         let plane = if is_mover { &mut moved } else { &mut rest };
         part.iter().filter(|&&(x, y)| is_mover || differs.at(x, y)).for_each(|&(x, y)| plane.row_mut(y)[x] = true);
     }
-    // In a region that did not move as a whole, the parts that differ certainly are judged by themselves: a moving
-    // object may be in front of a wide and faint difference.
+    // In a region that did not move as a whole, the parts that differ certainly are tested separately: a moving object
+    // may be in front of a wide and faint difference.
     for part in region::parts(&rest).into_iter().filter(|part| is_mover(part, &rest)) {
         part.iter().for_each(|&(x, y)| moved.row_mut(y)[x] = true);
     }
     moved
 }
 
-/// Returns the difference of each cell, in standard deviations: over all channels, at the scale where it is largest.
+/// Returns the difference of each cell, in standard deviations, combined over the channels, at the scale where it is
+/// largest.
 fn strengths(differences: &Plane<[f32; 3]>) -> Plane<f32> {
     let mut mean = binomial(differences);
     let mut levels = Vec::new();
@@ -279,8 +283,8 @@ fn strengths(differences: &Plane<[f32; 3]>) -> Plane<f32> {
     all.unwrap_or_else(|| Plane::filled(differences.width(), differences.height(), 0.0))
 }
 
-/// Returns the maximum of `finer` and the interpolated `coarse`, which has half the size, but at most [`RAISE`] times
-/// `finer`.
+/// Returns the maximum of `finer` and the interpolated `coarse`, which has half the size. The result is at most
+/// [`RAISE`] times `finer`.
 fn stronger(finer: &Plane<f32>, coarse: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (finer.width(), finer.height());
     Plane::from_rows(width, height, |y, row| {
@@ -314,7 +318,7 @@ mod tests {
                     sum += wx * wy / 256.0 * f64::from(at[1]);
                 }
             }
-            // Rounding errors of some ten operations on values below 16.
+            // The tolerance allows for the rounding errors of some ten operations on values below 16.
             assert!((f64::from(fast.at(x as usize, y as usize)[1]) - sum).abs() < 1e-5);
         }
     }

@@ -1,7 +1,7 @@
 //! Motion masks of all frames: for the merge, for `--ghost-mask`, and for the report.
 //!
-//! In: a weight factor for each cell of each frame. Out: the factor at each pixel; shares and regions. Cost: a few ns
-//! per pixel where something moved.
+//! In: a factor on the weight for each cell of each frame. Out: the factor at each pixel; for the report, the removed
+//! share of each frame and the regions. Cost: a few ns per pixel where something moved.
 
 use super::holes::Holes;
 use super::region;
@@ -19,8 +19,8 @@ pub struct Ghosts {
     pub(super) region: Rect,
     pub(super) side: usize,
     pub(super) strength: f64,
-    /// For each merged frame, by rising exposure: its path, and for each cell the weight factor, 0..=1, times 255.
-    /// `None` for the reference frame.
+    /// For each merged frame, by rising exposure: its path, and for each cell the factor on the weight, 0..=1, times
+    /// 255. `None` for the reference frame and for frames with assumed transforms.
     pub(super) frames: Vec<(String, Option<Plane<u8>>)>,
     /// Radiance continued from the surroundings, where the reference frame is clipped and all shorter frames are
     /// removed.
@@ -32,7 +32,7 @@ pub struct Ghosts {
 pub struct GhostReport {
     /// The strength used.
     pub strength: f64,
-    /// Share of the cells of the result in which deghosting reduced the weight of any frame by more than half.
+    /// Share of the cells of the result in which deghosting reduced the weight of at least one frame by more than half.
     pub ghost_fraction: f64,
     /// Share of the cells of the result in which the reference frame is clipped and the shorter frames are removed, so
     /// that radiance is continued from the surroundings.
@@ -40,8 +40,8 @@ pub struct GhostReport {
     /// The frames that were compared, by rising exposure: all but the reference frame and those with assumed
     /// transforms.
     pub frames: Vec<GhostFrame>,
-    /// The largest connected regions in which the weight of any frame was reduced by more than half, the largest first:
-    /// at most [`MOST_REGIONS`].
+    /// The largest connected regions in which the weight of at least one frame was reduced by more than half, the
+    /// largest first: at most [`MOST_REGIONS`].
     pub regions: Vec<GhostRegion>,
 }
 
@@ -73,8 +73,8 @@ pub struct GhostFrame {
 }
 
 impl GhostReport {
-    /// Returns where the largest region of motion is in a result of `size` pixels, as "at the bottom right". `None` if
-    /// nothing moved.
+    /// Returns where the largest region of motion is in a result of `size` pixels, as text like "at the bottom right".
+    /// `None` if nothing moved.
     pub fn place(&self, size: (usize, usize)) -> Option<String> {
         let most = self.regions.first()?;
         let (x, y) = (most.x_px + most.width_px / 2, most.y_px + most.height_px / 2);
@@ -89,7 +89,7 @@ impl Ghosts {
     /// Checks that the masks are of `region` and of `frames`, by rising exposure.
     ///
     /// # Errors
-    /// [`Error::Option`], which says what the masks are of, if they are of another region or other frames.
+    /// [`Error::Option`] if the masks are of another region or of other frames.
     pub(in crate::merge) fn check(&self, region: Rect, frames: &[&Path]) -> Result<()> {
         let refused = |reason| Err(Error::Option { option: "--deghost", reason });
         if self.region != region {
@@ -124,8 +124,8 @@ impl Ghosts {
         kept
     }
 
-    /// Replaces radiance in the merged `pixels` by that of the surroundings, where the reference frame clips and no
-    /// frame is left that shows more. `pixels` are whole rows, from row `first` of the region on.
+    /// In the merged `pixels`, replaces radiance by that of the surroundings, where the reference frame is clipped and
+    /// all shorter frames are removed. `pixels` are whole rows, from row `first` of the region on.
     pub(crate) fn fill(&self, first: usize, pixels: &mut [[f32; 3]]) {
         if let Some(holes) = &self.holes {
             for (y, row) in pixels.chunks_exact_mut(self.region.width()).enumerate() {
@@ -135,7 +135,7 @@ impl Ghosts {
     }
 
     /// Returns a mask, at the size of the region, of how much was removed: 0 where all frames are merged, 255 where
-    /// only the reference frame is merged, and in proportion between.
+    /// only the reference frame is merged, and proportional values in between.
     pub fn mask(&self) -> Plane<u8> {
         let others = self.frames.iter().filter(|(_, map)| map.is_some()).count().max(1) as f32;
         Plane::from_rows(self.region.width(), self.region.height(), |y, row| {
@@ -152,7 +152,7 @@ impl Ghosts {
     /// Returns the report: how much of each frame was removed, and where.
     pub fn report(&self) -> GhostReport {
         let maps = || self.frames.iter().filter_map(|(path, map)| Some((path, map.as_ref()?.as_slice())));
-        // Half of 255, rounded up.
+        // The limit is half of 255, rounded up.
         let is_ghost = |kept: &u8| *kept < 128;
         let cells = maps().next().map_or(0, |(_, map)| map.len());
         let share = |count: usize| count as f64 / cells.max(1) as f64;

@@ -1,14 +1,14 @@
 //! Holes: places where the reference is clipped, and the shorter frames show motion.
 //!
 //! In: for each cell the radiance of the reference and of the shorter frames, and their weights. Out: [`Holes`]:
-//! radiance that continues the surroundings, and its weight. Cost: about 100 ns per cell if there are holes, and 20
-//! ns per pixel in them. Source: pull and push of Gortler et al. 1996, "The Lumigraph", section 3.4.2.
+//! radiance that continues the surroundings, and its weight. Cost: about 100 ns per cell if there are holes, and 20 ns
+//! per pixel in them. Source: the pull-push algorithm of Gortler et al. 1996, "The Lumigraph", section 3.4.2.
 //!
-//! A clipped reference only gives a lower bound of the radiance. If the shorter frames show a moving object in front of
-//! a bright sky, no frame shows the sky, and the mean would be a grey patch in the shape of the object. The connected
-//! clipped surroundings are about as bright: the logarithm of their radiance is continued into the hole, from the
-//! nearest known cells, and with it the colour, which clipped pixels have lost. The continuation never makes the
-//! brightest channel darker, and is used only where the reference is clipped.
+//! A clipped reference gives only a lower bound of the radiance. If the shorter frames show a moving object in front of
+//! a bright sky, no frame shows the sky there, and the mean would be a grey patch in the shape of the object. But the
+//! connected clipped surroundings are about as bright. Therefore the logarithm of their radiance is continued into the
+//! hole from the nearest known cells, channel by channel. This also restores the colour, which clipped pixels have
+//! lost. The continuation never makes the brightest channel darker, and is used only where the reference is clipped.
 
 use super::cells::Cell;
 use super::region;
@@ -25,7 +25,7 @@ pub(super) struct Holes {
     radiance: [Plane<f32>; 3],
     /// Weight of that radiance in each cell, times 255.
     counts: Plane<u8>,
-    /// For each channel, the radiance from which on the reference may be clipped, and that from which on it is
+    /// For each channel, the radiance from which on the reference may be clipped, and the radiance from which on it is
     /// certainly clipped.
     clips: [(f32, f32); 3],
 }
@@ -33,12 +33,14 @@ pub(super) struct Holes {
 /// What the reference and the shorter frames show in one cell.
 #[derive(Debug, Clone, Copy, Default)]
 struct Known {
-    /// Radiance of the first frame, from the reference towards shorter ones, with full weight that is not clipped. If
-    /// there is none, that of the shortest frame with full weight, which is a lower bound.
+    /// Radiance of the longest frame that has full weight and is not clipped, among the reference and the shorter
+    /// frames. If all frames with full weight are clipped, it is the radiance of the shortest of them, which is a lower
+    /// bound.
     radiance: [f32; 3],
     /// Whether the radiance is exact and not a bound.
     is_sure: bool,
-    /// Number of frames from the reference to the shortest clipped frame with full weight.
+    /// Number of the shortest frame that is clipped and has full weight. 0 is the reference, 1 the next shorter frame,
+    /// and so on.
     clipping: u8,
     /// Whether a shorter frame that is not clipped has a reduced weight.
     is_missed: bool,
@@ -98,15 +100,15 @@ impl Shorter {
         });
         let parts = region::parts(&clipped);
         let mut holes: Option<Holes> = None;
-        // `clipping` is the shortest frame in which a hole is clipped: only cells that are clipped in that frame too
-        // are examples for the hole.
+        // Holes with the same `clipping`, the number of the shortest frame in which a hole is clipped, are filled
+        // together. They are filled only from examples: cells that are clipped in that frame too.
         for clipping in 0..=self.frames {
             let mut counts = Plane::filled(width, height, 0u8);
             let mut weights = Plane::filled(width, height, 0.0f32);
             for part in &parts {
                 let is_of = |&&(x, y): &&(usize, usize)| is_hole((x, y)) && known.at(x, y).clipping == clipping;
                 let is_example = |&&(x, y): &&(usize, usize)| is_source((x, y)) && known.at(x, y).clipping >= clipping;
-                // A part that has no hole gives no examples: its light may be brighter.
+                // A connected part without a hole gives no examples, because it may be brighter than the holes.
                 if part.iter().any(|at| is_of(&at)) && part.iter().any(|at| is_example(&at)) {
                     part.iter().filter(is_example).for_each(|&(x, y)| weights.row_mut(y)[x] = 1.0);
                     part.iter().filter(is_of).for_each(|&(x, y)| counts.row_mut(y)[x] = u8::MAX - known.at(x, y).kept);
@@ -125,7 +127,8 @@ impl Shorter {
         holes.map(|holes| Holes { clips, ..holes })
     }
 
-    /// Returns the radiance of channel `c`: that of the cells with `weights` of 1, continued into the other cells.
+    /// Returns the radiance of channel `c`. It is known in cells with `weights` of 1, and continued into the other
+    /// cells.
     fn continued(&self, c: usize, weights: &Plane<f32>) -> Plane<f32> {
         let stops = Plane::from_rows(weights.width(), weights.height(), |y, row: &mut [f32]| {
             for ((v, known), weight) in row.iter_mut().zip(self.known.row(y)).zip(weights.row(y)) {

@@ -1,29 +1,30 @@
-//! Deghosting: motion masks, where the other frames show something else than the reference frame.
+//! Deghosting: motion masks, which mark where a frame shows something else than the reference frame.
 //!
-//! In: a bracket, its alignment and the response. Out: [`Ghosts`], for each frame and pixel the share to which it is
-//! merged. Cost: some 200 ns of one core for each cell of each frame, and 200 more if something differs: 4 ns per pixel
-//! of 12 MP. Memory: 156 bytes for each of at most 262,144 cells (more beyond 16 MP), for any number of frames, plus
-//! one byte for each cell of each frame, two for shorter frames. Source: comparing each frame with the reference frame
-//! in units of noise is from Ward's hdrgen (option `-g`); the noise model, the chain of standards, the scales and the
-//! edge criterion are ours.
+//! In: a bracket, its alignment and the response. Out: [`Ghosts`], for each frame and pixel a factor on the weight.
+//! Cost: some 200 ns of one core for each cell of each frame, and 200 more if something differs; this is about 4 ns per
+//! pixel of a frame of 12 MP. Memory: 156 bytes per cell, whatever the number of frames, plus one byte for each cell of
+//! each frame, two if the frame is shorter than the reference. There are at most 262,144 cells, or more beyond 16 MP.
+//! Source: comparing each frame with the reference frame in units of noise is from Ward's hdrgen (option `-g`). The
+//! noise model, the standard that replaces a clipped reference (step 2), the scales and the edge criterion are ours.
 //!
-//! 1. Every frame is averaged to radiance over cells of 2x2 pixels (4x4 and 8x8 in large pictures): `cells`.
-//! 2. Frame by frame, from the reference towards the shorter and towards the longer exposures, the cells are compared
-//!    with a standard: the reference frame, and where that is clipped, black or noisy, the nearest frame that agrees
-//!    with it. A clipped or black code value is only a bound. Differences that are `usual` between the two in the whole
-//!    picture are not motion.
+//! 1. For every frame, the mean radiance is computed in cells of 2x2 pixels (4x4 and 8x8 in large pictures): `cells`.
+//! 2. Each frame is compared, cell by cell, with a standard: frame by frame from the reference towards the shorter
+//!    exposures, then towards the longer ones. The standard is the reference frame; where that is clipped, black or
+//!    noisy, it is the nearest frame that agrees with it. A clipped or black code value is only a bound of the
+//!    radiance. Differences between frame and standard that are usual in the whole picture are not motion: `usual`.
 //! 3. The differences, in units of their standard deviation and with their signs, are averaged over larger and larger
-//!    cells: errors of alignment, noise and JPEG cancel, motion adds up. The strongest scale decides, for all three
-//!    channels together: `evidence`.
-//! 4. A difference is motion if only one of standard and frame has an edge there: `structure`. A connected region that
-//!    differs and has such an edge all around is removed completely, with a soft border: `region`. A bracket without
-//!    motion gives the same bytes as without deghosting.
-//! 5. Where something moved, shorter frames that are black are removed too, because they agree with anything.
-//! 6. Where the reference frame is clipped and the shorter frames are removed, radiance is continued from the
+//!    cells: errors of alignment, noise and JPEG cancel, motion adds up. The cell size with the strongest mean decides,
+//!    for all three channels together: `evidence`.
+//! 4. A difference is motion if either the standard or the frame has an edge there, but not both: `structure`. A
+//!    connected region that differs and has such an edge all around is removed completely, with a soft border:
+//!    `region`. A bracket without motion gives the same bytes as without deghosting.
+//! 5. Where something moved, shorter frames that are black are removed too, because black agrees with any dark object.
+//! 6. Where the reference frame is clipped and the shorter frames are removed, radiance is continued from the clipped
 //!    surroundings: `holes`.
 //!
-//! On five rendered brackets with motion, hdrgen's weight e^2 / (e^2 + d^2) with e = 0.08 instead has a PU21-PSNR 2 to
-//! 20 dB lower than no deghosting, because it treats noise as motion.
+//! hdrgen's weight e^2 / (e^2 + d^2), with e = 0.08 and the difference d from the reference, is not used, because it
+//! treats noise as motion: on five rendered brackets with motion, its PU21-PSNR is 2 to 20 dB lower than without
+//! deghosting.
 
 pub(super) mod cells;
 mod evidence;
@@ -47,18 +48,19 @@ use std::fmt;
 use std::ops::Range;
 use std::str::FromStr;
 
-/// Largest number of cells, unless they would be larger than `LARGEST`.
+/// Cells are enlarged until there are at most this many, or until their side is [`LARGEST`].
 const MOST_CELLS: usize = Demand::MOST_CELLS as usize;
 /// The longest side of a cell, in pixels.
 const LARGEST: usize = 8;
-/// Half the width of gaps in a motion mask that are closed, in cells: parts of a moving object may look like the
-/// background.
+/// Half the width, in cells, of the widest gap in a motion mask that is closed. There are gaps because parts of a
+/// moving object may look like the background.
 const GAP: usize = 3;
-/// Margin around a motion mask, in cells, where edges are mixed with the background.
+/// Width, in cells, of the margin around a motion mask that is removed too, because there the edge of the object is
+/// mixed with the background.
 const MARGIN: usize = 2;
 /// Width, in cells, of the zone around a motion mask in which cells still contain the edge of the moving object.
 const EDGE: usize = 1;
-/// Width of the soft border, in cells.
+/// Half the width of the soft border, in cells.
 const FADE: usize = 2;
 
 /// Strength of deghosting.
@@ -129,8 +131,8 @@ impl fmt::Display for Deghost {
     }
 }
 
-/// Returns the numbers of standard deviations from which on a cell may have moved, and from which on it differs
-/// certainly.
+/// Returns two thresholds in standard deviations: from the first on a cell may have moved, from the second on it
+/// differs certainly.
 fn limits(strength: f64) -> (f32, f32) {
     let scale = libm::exp2(1.0 - 2.0 * strength) as f32;
     (2.0 * scale, 4.0 * scale)
@@ -141,8 +143,8 @@ pub(super) struct Layer<'a> {
     pub(super) frame: &'a Frame,
     warp: Transform,
     pub(super) meaning: Meaning,
-    /// Whether the frame's transform is [assumed](Placement::Assumed): the frame shows what no other does, so it is not
-    /// compared.
+    /// Whether the frame's transform is [assumed](Placement::Assumed). Such a frame only fills what is clipped or black
+    /// in all other frames, so it is not compared.
     is_assumed: bool,
 }
 
@@ -163,12 +165,12 @@ pub(super) fn layers<'a>(
     (alignment.placed(bracket).map(layer).collect(), reference.unwrap_or_default())
 }
 
-/// Function from the index of a merged frame, by rising exposure, and rows of the region to the factors on the frame's
-/// radiance there, row by row; empty if the factors are 1.
+/// A function that returns the factors on a frame's radiance, row by row; empty if all factors are 1. Its arguments are
+/// the frame's index among the merged frames, by rising exposure, and the rows of the region.
 pub type Gain<'a> = &'a (dyn Fn(usize, Range<usize>) -> Vec<f32> + Sync);
 
-/// Finds where in `region` each frame shows something else than the reference frame. Locally processed frames are
-/// multiplied by their `gain` before they are compared, and only unclipped cells of them are compared.
+/// Finds where in `region` each frame shows something else than the reference frame. The radiance of locally processed
+/// frames is multiplied by `gain` before the comparison, and only their unclipped cells are compared.
 ///
 /// # Errors
 /// [`Error::Option`] if the strength is out of range; [`Error::Scratch`].
@@ -223,8 +225,8 @@ pub fn find(
     Ok(Ghosts { region, side, strength, frames, holes: shorter.holes(&shown, curve) })
 }
 
-/// Returns where a shorter `frame` is black in all channels and the `reference` is not clipped: the frame agrees with
-/// anything there.
+/// Returns the cells in which a shorter `frame` is black in all channels and the `reference` is not clipped: there the
+/// frame agrees with any dark object.
 fn underexposed(frame: &Plane<Cell>, reference: &Plane<Cell>) -> Plane<bool> {
     Plane::from_rows(frame.width(), frame.height(), |y, row| {
         for ((is, f), s) in row.iter_mut().zip(frame.row(y)).zip(reference.row(y)) {
@@ -249,9 +251,10 @@ fn leave_out_underexposed(frames: &mut [(String, Option<Plane<u8>>)], black: &[(
     }
 }
 
-/// Gives a shorter frame its full weight beside what `moved` in it, where the reference frame is white and the shorter
-/// frame shows at least as much radiance: otherwise a white spot would remain. Where the shorter frame shows less, as
-/// in the soft edge of a moving object, radiance is [continued](holes).
+/// Gives a shorter frame its full weight outside of `moved`, where the reference frame is white and the shorter frame
+/// shows at least as much radiance. Otherwise a white spot would remain around the moving object. Where the shorter
+/// frame shows less radiance, as in the soft edge of a moving object, radiance is [continued](holes) from the
+/// surroundings.
 fn keep_beside(kept: &mut Plane<u8>, moved: &Plane<bool>, (frame, reference): (&Plane<Cell>, &Plane<Cell>)) {
     kept.fill_rows(|y, row| {
         let cells = frame.row(y).iter().zip(reference.row(y));
@@ -274,8 +277,8 @@ fn side(region: Rect) -> usize {
     side
 }
 
-/// In cells where `frame` did not move, takes `frame` as the standard if there is no standard, if the standard is only
-/// a bound of the radiance, or if it is much noisier.
+/// In cells where `frame` did not move, `frame` becomes the standard if there is no standard, if the standard is only a
+/// bound of the radiance, or if the standard is much noisier than the frame.
 fn take_over(standard: &mut Plane<Cell>, frame: &Plane<Cell>, moved: &Plane<bool>, meanings: &[&Meaning]) {
     standard.fill_rows(|y, row| {
         for ((s, f), moved) in row.iter_mut().zip(frame.row(y)).zip(moved.row(y)) {

@@ -1,10 +1,11 @@
 //! Regions: from the evidence of single cells to the removed parts of a frame.
 //!
-//! In: for each cell whether it differs, or moved. Out: the connected parts; masks without gaps; a weight that rises
-//! around a mask. Cost: about 10 ns per cell.
+//! In: for each cell whether it differs or moved. Out: connected parts; masks without gaps; a weight that rises around
+//! a mask. Cost: about 10 ns per cell.
 //!
-//! Connected parts that differ and moved are removed completely: the middle of a moving object may look like its
-//! background, and a tenth of a long exposure's weight may still be ten times that of the reference.
+//! Connected parts that differ and moved are removed completely, for two reasons. The middle of a moving object may
+//! look like its background. And a reduced weight is not enough: a tenth of a long exposure's weight may still be ten
+//! times the weight of the reference.
 
 use crate::plane::Plane;
 use crate::pyramid::cells::{gathered, near};
@@ -49,7 +50,7 @@ pub fn grown_by(plane: &Plane<bool>, reach: usize) -> Plane<bool> {
     gathered(plane, reach, |is, near| *is |= near)
 }
 
-/// Closes gaps that are at most 2 `reach` cells wide.
+/// Closes gaps that are at most `2 * reach` cells wide.
 pub fn closed(plane: &Plane<bool>, reach: usize) -> Plane<bool> {
     let not = |mut plane: Plane<bool>| {
         plane.as_mut_slice().iter_mut().for_each(|is| *is = !*is);
@@ -58,11 +59,12 @@ pub fn closed(plane: &Plane<bool>, reach: usize) -> Plane<bool> {
     not(grown_by(&not(grown_by(plane, reach)), reach))
 }
 
-/// Returns the weight of a frame, times 255: 0 within `reach` cells of the true cells of `plane`, rising over the next
-/// `2 fade` cells.
+/// Returns the factor on the weight of a frame, times 255: 0 within `reach` cells of the true cells of `plane`, rising
+/// to 255 over the next `2 * fade` cells.
 pub fn kept(plane: &Plane<bool>, reach: usize, fade: usize) -> Plane<u8> {
     let (width, height) = (plane.width(), plane.height());
-    // The mean extends `fade` cells to both sides of the border, so the weight is 0 within `reach`.
+    // The mean below extends `fade` cells to either side, so cells must be excluded up to `reach + fade` for a weight
+    // of 0 within `reach`.
     let wide = grown_by(plane, reach + fade);
     let free = Plane::from_vec(width, height, wide.as_slice().iter().map(|&is| usize::from(!is)).collect());
     let free = gathered(&free, fade, |sum, number| *sum += number);
@@ -100,7 +102,7 @@ mod tests {
         assert_eq!(closed(&with_gap, 1), plane(&["########"; 9]));
         let alone = plane(&[".......", ".......", "...#...", ".......", "......."]);
         assert_eq!(closed(&alone, 1), alone);
-        // Motion at the border continues beyond it.
+        // Motion near the border of the picture is assumed to continue beyond it, so the gap to the border is closed.
         assert_eq!(closed(&plane(&[".#.....", ".......", "......."]), 1), plane(&["##.....", ".......", "......."]));
     }
 

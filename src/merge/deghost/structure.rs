@@ -1,4 +1,4 @@
-//! Structure: edges that only the frame has, or only the standard, which the frame is compared with.
+//! Structure: edges that only the frame has, or only the standard. The standard is what the frame is compared with.
 //!
 //! In: for each cell the standard's log radiance, and the frame's difference from it. Out: for each cell the
 //! significance of motion, in standard deviations. Cost: about 40 ns per cell, and 0.5 us for each cell that is
@@ -6,24 +6,24 @@
 //!
 //! A difference alone does not distinguish motion from effects that one response for all frames cannot describe:
 //! vignetting that changes with the f-number, veiling glare, saturated colours, local tone mapping. Such effects are
-//! smooth, or change at an edge that both frames show. A moving object has edges that only one frame shows. Therefore
-//! the change of the log ratio between neighbouring cells is compared with the noise and with the smaller of the two
-//! frames' own changes there.
+//! smooth, or change at an edge that both frame and standard show. A moving object has edges that only one of them
+//! shows. Therefore the change of the log ratio between neighbouring cells is compared with the noise, and with the
+//! smaller of the two changes that frame and standard show there.
 
 use crate::plane::Plane;
 
-/// Smallest change of the log ratio from one cell to the next that counts as a change, in octaves: half of the share of
-/// the radiance by which frames may differ even without motion.
+/// Standard deviation of the change of the log ratio from one cell to the next that is assumed even without noise and
+/// edges, in octaves: half of the share of the radiance by which frames may differ without motion.
 const LEAST: f32 = 0.04;
-/// If both frames show a change, the two changes may differ by this fraction of the smaller one, because of response,
-/// sharpness and colour processing.
+/// If frame and standard both change at an edge, the two changes may differ by this fraction of the smaller one,
+/// because of response, sharpness and colour processing.
 const COMMON: f32 = 0.35;
 /// Number of scales at which cells are compared: the cells themselves, and means of 2, 4 and 8 cells square.
 const SCALES: usize = 4;
-/// Number of the smaller scales that are averaged over the border of a difference. The largest scale is left out,
-/// because many moving objects are as small as one of its cells.
+/// Number of scales, from the smallest on, over which the mean change along the border of a difference is computed. The
+/// largest scale is omitted, because many moving objects are as small as one of its cells.
 const SMALLER: usize = 3;
-/// Fraction of the variance that remains in the mean of four cells: between a quarter for independent cells and all
+/// Variance of the mean of four cells, as a fraction of the variance of a cell: between 1/4 for independent cells and 1
 /// for equal ones.
 const LEFT: f32 = 0.5;
 
@@ -32,8 +32,8 @@ const LEFT: f32 = 0.5;
 pub struct Ratio {
     /// log2 of the standard's radiance.
     pub standard: [f32; 3],
-    /// log2 of the frame's radiance divided by the standard's; 0 if one is only a bound of the radiance and the other
-    /// within it.
+    /// log2 of the frame's radiance divided by the standard's. It is 0 if one of the radiances is only a bound and the
+    /// other is within that bound.
     pub ratio: [f32; 3],
     /// Variance of the ratio.
     pub variance: [f32; 3],
@@ -73,14 +73,15 @@ fn halved(plane: &Plane<Ratio>) -> Plane<Ratio> {
     })
 }
 
-/// Returns the significance of the change of the ratio between the middle two of four cells in a line, beyond the
-/// frames' own changes, in standard deviations.
+/// Returns how much the ratio changes between the middle two of four cells in a line, in standard deviations. Changes
+/// that frame and standard have in common count little.
 fn change(line: [&Ratio; 4]) -> f32 {
     let mut most = 0.0f32;
     for c in 0..3 {
         let [_, here, next, _] = line;
         let moved = next.ratio[c] - here.ratio[c];
-        // An edge that is displaced by a cell in the other frame is the same edge.
+        // An edge that is displaced by a cell in the frame counts as the same edge. Therefore the largest change within
+        // the line is used.
         let greatest = |of: &dyn Fn(&Ratio) -> f32| {
             let at = line.map(of);
             (at[1] - at[0]).abs().max((at[2] - at[1]).abs()).max((at[3] - at[2]).abs())
@@ -161,14 +162,14 @@ mod tests {
 
     #[test]
     fn edge_in_one_frame_is_a_change_and_edge_in_both_is_not() {
-        // An edge only in the frame; an edge only in the standard.
+        // The first scene has an edge only in the frame, the second only in the standard.
         assert!(found(|_, _| 0.0, |x, _| half(x)) >= 64);
         assert!(found(|x, _| half(x), |x, _| -half(x)) >= 64);
-        // An edge in both, a third higher in the frame; no edge, with the frame brighter towards one side, by half at
-        // most.
+        // The first scene has an edge in both, which is higher in the frame by a third (in stops). The second has no
+        // edge, but the frame becomes brighter towards one side, by half at most.
         assert_eq!(found(|x, _| half(x), |x, _| 0.33 * half(x)), 0);
         assert_eq!(found(|_, _| 0.0, |x, _| 0.6 * x as f32 / 32.0), 0);
-        // An edge that is displaced by a cell in the frame is the same edge.
+        // An edge that is displaced by a cell in the frame counts as the same edge.
         assert_eq!(found(|x, _| half(x), |x, _| half(x + 1) - half(x)), 0);
     }
 
@@ -178,7 +179,8 @@ mod tests {
         (0..32).for_each(|y| plane.row_mut(y)[16..].iter_mut().for_each(|r| r.ratio = [0.1; 3]));
         let scales = Scales::of(plane);
         let column = |x: usize| (0..32).map(|y| (x, y)).collect::<Vec<_>>();
-        // 0.1 / sqrt(LEAST^2 + 2 x 1e-4) = 2.36 standard deviations; larger cells have smaller variances.
+        // At the scale of the cells the change is 0.1 / sqrt(LEAST^2 + 2 x 1e-4) = 2.36 standard deviations. Larger
+        // cells have smaller variances, so their change is a little larger.
         assert!((2.36..2.5).contains(&scales.mean(&column(15))), "{}", scales.mean(&column(15)));
         assert_eq!((scales.mean(&column(2)), scales.mean(&[])), (0.0, 0.0));
     }

@@ -1,13 +1,13 @@
 //! The usual difference between a frame and the standard where nothing moved.
 //!
-//! In: cells of the standard and of a frame. Out: for each channel and level of radiance, the median of the ratio of
-//! frame to standard, which is the error of the response, and the spread of this ratio, which is due to noise and
-//! alignment. Cost: about 10 ns per cell.
+//! In: cells of a frame and of the standard, which the frame is compared with. Out: for each channel and level of
+//! radiance, the median of the ratio of frame to standard, which is the error of the response, and the spread of this
+//! ratio, which is due to noise and alignment. Cost: about 10 ns per cell.
 
 use super::cells::Cell;
 use crate::plane::{Plane, fold_bands};
 
-/// Largest spread that is estimated from the bracket, so that much motion in a picture does not count as noise.
+/// Upper limit of the estimated spread, so that much motion in a picture does not count as noise.
 const MOST: f32 = 0.25;
 /// Largest factor by which the usual bias is corrected.
 const MOST_BIAS: f32 = 1.5;
@@ -16,12 +16,12 @@ const MOST_BIAS: f32 = 1.5;
 const LEVELS: usize = 64;
 /// Index of the level of radiance 1.
 const UNIT_LEVEL: f32 = 40.0;
-/// Number of bins of the ratio of two radiances, from two stops below 1 to two stops above.
+/// Number of bins of the histogram of ratios of two radiances. It reaches from two stops below 1 to two stops above.
 const RATIOS: usize = 128;
 /// Right shift from the bits of a ratio to its bin: floats with the same exponent and the same first five bits of the
 /// mantissa share a bin.
 const RATIO_SHIFT: u32 = 18;
-/// Number of cells of a level at which its estimates have half of their full weight.
+/// Number of cells in a level at which half of the measured bias is corrected.
 const FEW: f32 = 400.0;
 
 /// Approximates log2: exact at powers of 2 and linear between them, so monotone, and the same on any machine.
@@ -74,7 +74,7 @@ impl Usual {
         let mut usual = Usual { bias: [[1.0; LEVELS]; 3], spread: [[0.0; LEVELS]; 3] };
         for c in 0..3 {
             for level in 0..LEVELS {
-                // Neighbouring levels have half weight.
+                // The counts of the two neighbouring levels are added with half weight.
                 let at = |level: usize, r: usize| f64::from(counts[bin(c, level, r)]);
                 let smooth: Vec<f64> = (0..RATIOS)
                     .map(|r| {
@@ -108,7 +108,8 @@ impl Usual {
     /// Returns bias and spread, interpolated between levels.
     #[inline]
     pub fn at(&self, c: usize, level: f32) -> (f32, f32) {
-        // Entry k of the tables is estimated from levels k to k + 1, so it is valid at their middle, k + 1/2.
+        // Entry k of the tables is estimated from cells with a level from k to k + 1, so it is valid at the middle of
+        // this range.
         let level = (level - 0.5).max(0.0);
         let below = (level as usize).min(LEVELS - 2);
         let f = level - below as f32;
@@ -127,7 +128,7 @@ mod tests {
             assert_eq!(log2_linear(libm::exp2f(e as f32)), e as f32);
         }
         let x = |i: usize| libm::exp2f(i as f32 / 50.0 - 10.0);
-        // Between powers of 2 it is too small by at most 0.0861.
+        // Between powers of 2 the approximation is too small by at most 0.0861.
         assert!((1..1000).all(|i| log2_linear(x(i)) > log2_linear(x(i - 1))));
         assert!((0..1000).all(|i| (log2_linear(x(i)) - (i as f32 / 50.0 - 10.0)).abs() < 0.0862));
     }

@@ -1,14 +1,16 @@
 //! The base of a locally processed frame, and the curve with which the phone compressed it.
 //!
-//! In: the logarithm of each frame's exposure on cells. Out: for each cell the base as a function of a pixel's
-//! logarithm, and the curve from the base of a frame to that of the scene. Cost: two box filters over at most 256 x 256
+//! In: the logarithm of each frame's exposure on cells. Out: for each cell the base as a function of the logarithm of a
+//! pixel, and the curve from the base of a frame to that of the scene. Cost: two box filters over at most 256 x 256
 //! cells for each frame, and some passes over the cells of each pair of frames. Source: base and detail as in Durand &
 //! Dorsey 2002. The base is the result of the guided filter (He, Sun & Tang 2013) on the logarithm of luminance, guided
 //! by itself, computed on cells and interpolated (He & Sun 2015). The curve is recovered like a camera response
 //! (Debevec & Malik 1997), from bases instead of code values.
+//!
 //! A local tone mapping compresses the base and keeps the details. An edge of several stops is part of the base,
 //! otherwise there would be halos. A phone renders each frame independently. The rendering of a base depends only on
-//! that base, so one curve is valid for all frames and places, and a stop of exposure is a stop of the original base.
+//! that base, so one curve is valid for all frames and places. One more stop of exposure raises the original base by
+//! one stop.
 
 use crate::plane::Plane;
 use crate::pyramid::cells::gathered;
@@ -18,29 +20,30 @@ use nalgebra::{SMatrix, SVector};
 /// Longer side of the picture divided by the radius of the filter: a neighbourhood is a twelfth of the longer side
 /// wide.
 const RADIUS: usize = 24;
-/// Variance at which half of a difference belongs to the base, in square stops: that of an edge of 2.8 stops between
-/// equal halves. On 12 rendered brackets of phones, a variance of 4 has a PU21-PSNR of details that is lower by 0.4 dB.
+/// Variance, in square stops, at which half of a difference belongs to the base (epsilon of the guided filter): that of
+/// an edge of 2.8 stops between equal halves. On 12 rendered brackets of phones, 4 instead of 2 lowers the PU21-PSNR of
+/// details by 0.4 dB.
 const EDGE: f32 = 2.0;
 /// Number of knots of the curve: at least one for each stop that an 8-bit frame shows.
 const KNOTS: usize = 13;
 /// Weight of the curve's squared second derivative relative to the mean squared error. On the 12 brackets of [`EDGE`],
-/// a fifth and five times this weight change the PU21-PSNR of details by 0.1 dB.
+/// dividing or multiplying this weight by five changes the PU21-PSNR of details by 0.1 dB.
 const SMOOTH: f64 = 0.01;
 /// Number of passes of least squares; in all but the first, cells with motion have less weight.
 const PASSES: usize = 6;
 /// Reach of Tukey's biweight in robust standard deviations.
 const REACH: f64 = 4.685;
-/// Smallest standard deviation of a difference of two bases, in stops: half of the accuracy that deghosting assumes
-/// for a cell.
+/// Smallest standard deviation of a difference of two bases, in stops: about half of the error of 6 % (0.09 stops) that
+/// deghosting assumes for a cell.
 const LEAST: f64 = 0.05;
-/// Range of the slope from a frame's base to the scene's: a phone compresses and never expands, and a slope above the
-/// range would amplify noise.
+/// Range of the slope of the scene's base as a function of the frame's base. The slope is at least 1, because a phone
+/// compresses and never expands. A slope above the range would amplify noise.
 const SLOPES: (f64, f64) = (1.0, 2.5);
 /// Smallest number of pairs from which the curve is determined.
 const FEWEST: usize = 100;
 
-/// Returns for each cell the base as a function of the logarithm x of a pixel: a and b of a x + b. `stops` are the
-/// logarithms of the cells, `None` outside of the frame.
+/// Returns for each cell the coefficients a and b of the base a x + b, where x is the logarithm of a pixel. `stops` are
+/// the logarithms of the cells, `None` outside of the frame.
 pub(super) fn coefficients(stops: &Plane<Option<f32>>) -> Plane<[f32; 2]> {
     let longer = stops.width().max(stops.height());
     let radius = (longer as f64 / RADIUS as f64).round().max(1.0) as usize;
@@ -125,7 +128,7 @@ impl BaseCurve {
         self.lacks[k] + (along - k as f32) * (self.lacks[k + 1] - self.lacks[k])
     }
 
-    /// Returns the mean slope from a frame's base to the scene's.
+    /// Returns the mean slope of the scene's base as a function of the frame's base.
     pub fn slope(&self) -> f64 {
         1.0 + f64::from((self.lacks[KNOTS - 1] - self.lacks[0]) / (self.step * (KNOTS - 1) as f32))
     }
@@ -139,13 +142,14 @@ fn fitted(pairs: &[Pair], low: f64, step: f64) -> Option<SVector<f64, KNOTS>> {
         let k = (along as usize).min(KNOTS - 2);
         (k, along - k as f64)
     };
-    // The equation of a pair: the scene's base at the longer frame's base minus that at the shorter frame's base, each
-    // interpolated between two knots.
+    // The equation of a pair: the scene's base at the longer frame's base, minus the scene's base at the shorter
+    // frame's base, is the difference of the exposures. Both are interpolated between two knots.
     let row = |pair: &Pair| {
         let ((i, f), (j, g)) = (between(pair.bases.0), between(pair.bases.1));
         [(j, 1.0 - g), (j + 1, g), (i, f - 1.0), (i + 1, -f)]
     };
-    // A constant offset of the curve is not determined: a very small weight towards 0 makes the solution unique.
+    // The pairs do not determine a constant offset of the curve. A very small weight towards 0 makes the solution
+    // unique.
     let mut smooth = SMatrix::<f64, KNOTS, KNOTS>::from_diagonal_element(1e-6);
     let bend = [1.0, -2.0, 1.0];
     for (k, p, q) in (0..KNOTS - 2).flat_map(|k| (0..9).map(move |i| (k, i / 3, i % 3))) {

@@ -1,19 +1,19 @@
 //! Local gain: compensation for the local tone mapping of phones.
 //!
-//! In: a bracket of locally processed frames, its alignment and response. Out: [`LocalGain`], by which the radiance
-//! of each pixel of each frame is multiplied to obtain that of the scene. Cost: averaging the frames over cells,
-//! about 20 ns per pixel and frame, and a logarithm and an exponential for each pixel of each frame; nothing if
-//! frames are not locally processed. Source: the inverse of a two-scale tone mapping (Durand & Dorsey 2002) with a
-//! curve that is recovered from the exposures (`base`).
+//! In: a bracket of locally processed frames, its alignment and response. Out: [`LocalGain`], factors by which the
+//! radiance of each pixel of each frame is multiplied to obtain the radiance of the scene. Cost: about 20 ns per pixel
+//! and frame to average the frames over cells, plus a logarithm and an exponential for each pixel of each frame;
+//! nothing if frames are not locally processed. Source: the inverse of a two-scale tone mapping (Durand & Dorsey 2002)
+//! with a curve that is recovered from the exposures (`base`).
 //!
 //! 1. Every frame is averaged to exposure over at most 256 cells along the longer side, and its base, which is the
 //!    logarithm of brightness without details, is computed.
 //! 2. Without tone mapping, the bases of two frames at the same cell would differ by the difference of their exposures.
 //!    The curve with which the phone compressed the bases is fitted to the differences that are found.
-//! 3. The radiance of each pixel is multiplied by the difference, in stops, between the scene's base by that curve and
-//!    the frame's base. Details keep the camera's contrast; structures that are larger than a neighbourhood, and edges
-//!    of several stops, get their original contrast. This is done before merging, so that frames that were brightened
-//!    differently at the same place agree.
+//! 3. The curve gives the scene's base for each value of a frame's base. Each pixel is brightened by the scene's base
+//!    minus the frame's base, in stops. Details keep the camera's contrast; structures that are larger than a
+//!    neighbourhood, and edges of several stops, get their original contrast. This is done before merging, so that
+//!    frames that were brightened differently at the same place agree.
 
 mod base;
 
@@ -38,10 +38,10 @@ use std::path::Path;
 const CELLS: usize = 256;
 /// Weights of R, G and B in the luminance (Rec. 709) that determines the gain, which is the same for all channels.
 const LUMINANCE: [f32; 3] = crate::merge::radiance::statistics::BT709;
-/// A phone that brightens short exposures shows only a fraction of an exposure step in the pixels: the largest fraction
-/// assumed. If the sRGB curve gives a larger fraction, it has more stops between two code values than the curve of the
-/// phone. Measured with truth.py: of 26 phone brackets with a curve close to sRGB's, 23 have a fraction of 0.46 to
-/// 0.58.
+/// A phone brightens short exposures, so the pixels of two frames differ by only a fraction of the exposure step. This
+/// is the largest median fraction that is assumed. If the sRGB curve gives a larger fraction, it has more stops between
+/// two code values than the curve of the phone. Measured with truth.py: of 26 phone brackets with a curve close to
+/// sRGB's, 23 have a fraction of 0.46 to 0.58.
 const MOST_FRACTION: f64 = 0.6;
 
 /// Factors for the radiance of each frame over a region of the reference frame.
@@ -61,10 +61,9 @@ pub struct LocalGain {
 #[derive(Debug, Clone, PartialEq)]
 struct Processed {
     path: String,
-    /// The coefficients a and b of each cell: its base is a x + b, where x is the logarithm of a pixel's radiance in
-    /// stops.
+    /// The coefficients a and b of each cell: the base is a x + b, where x is log2 of a pixel's radiance.
     base: Plane<[f32; 2]>,
-    /// For each cell the scene's base minus the frame's base, in stops, and whether the cell is known.
+    /// For each cell the scene's base minus the frame's base, in stops, and whether the content of the cell is known.
     lacks: Plane<(f32, bool)>,
 }
 
@@ -101,9 +100,9 @@ pub fn curve(evidence: &Evidence) -> ResponseCurve {
     ResponseCurve::new(std::array::from_fn(|c| srgb.ln_exposure(c).map(|g| g / power))).unwrap_or(srgb)
 }
 
-/// Returns the number, 1 or more, by which the stops between the code values of sRGB are divided: the smallest with
-/// which no brightness level shows more than the full exposure step between two frames, and the median place shows at
-/// most [`MOST_FRACTION`] of the step.
+/// Returns the number, 1 or more, by which the stops between the code values of sRGB are divided. It is the smallest
+/// number for which two conditions hold. At no brightness level do two frames differ by more than their exposure step;
+/// and the median difference over the picture is at most [`MOST_FRACTION`] of the step.
 fn power(evidence: &Evidence) -> f64 {
     evidence.most_step_fraction.max(evidence.step_fraction / MOST_FRACTION).max(1.0)
 }
@@ -239,8 +238,9 @@ impl LocalGain {
         vectorised(Factors { layer, row, base, curve: &self.curve, factors });
     }
 
-    /// Adjusts the range of the photographs to the expanded radiance: the highlights of the shortest frame become
-    /// brighter by the curve's difference at white, so the radiance at its middle code value is multiplied by as much.
+    /// Adjusts the range of the photographs to the expanded radiance. The highlights of the shortest frame become
+    /// brighter by the curve's value at white, so the radiance at its middle code value is multiplied by the same
+    /// factor.
     pub fn photographed(&self, photographed: Photographed) -> Photographed {
         let lacks = self.curve.at(photographed.white_stops as f32);
         Photographed { shortest: photographed.shortest * libm::exp2(f64::from(lacks)), ..photographed }
@@ -263,7 +263,7 @@ impl LocalGain {
     }
 }
 
-/// The factors of a row of a tile.
+/// Computes the factors of a row of a tile.
 struct Factors<'a, 'b> {
     layer: &'a Layer<'b>,
     row: &'a Row<'a>,

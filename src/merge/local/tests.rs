@@ -26,7 +26,7 @@ fn base(x: usize, y: usize) -> f64 {
 }
 
 /// Returns three frames two stops apart with the sRGB curve; the middle one is the reference. `phone` is the fraction
-/// of a stop of the base that a phone keeps, except in very dark and very bright places; 1 is a camera.
+/// of a stop of the base that a phone keeps, except in very dark and very bright places; 1 means no local tone mapping.
 fn frames(phone: f64) -> (Bracket, Alignment) {
     let frame = |stops: f64| {
         let time = libm::exp2(stops);
@@ -37,7 +37,7 @@ fn frames(phone: f64) -> (Bracket, Alignment) {
             let curve = ResponseCurve::srgb();
             let middle = f64::from(curve.exposure(0, 255.0));
             let table = curve.exposures(0);
-            // A hash of the position for noise of one code.
+            // The noise, of about one code value, is a hash of the position.
             let noise = ((i as u64 + 7 * time as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 62) as i64 - 1;
             (table.partition_point(|&x| f64::from(x) < v * middle) as i64 + noise).clamp(0, 255) as u8
         };
@@ -84,14 +84,15 @@ fn contrast(map: &Plane<[f32; 3]>, first: (usize, usize), second: (usize, usize)
 fn gain_gives_back_the_scenes_contrast_small_and_large_and_across_an_edge() {
     let (bracket, alignment) = frames(0.45);
     let [with, without] = merged(&bracket, &alignment);
-    // Within the texture; along the room's shade; across the edge of the window; from the room to the middle of the
-    // window.
+    // The pairs of places are within the texture, along the room's shade, across the edge of the window, and from the
+    // room to the middle of the window.
     let places = [((40, 100), (68, 100)), ((20, 30), (180, 200)), ((196, 110), (204, 110)), ((120, 110), (250, 110))];
     for (first, second) in places {
         let truth = libm::log2(scene(second.0, second.1) / scene(first.0, first.1));
         let error = |map| (contrast(map, first, second) - truth).abs();
-        // The frames keep 0.45 of the 5.9 stops from the room to the window, which is 2.7. Across such an edge, with as
-        // much of either side, the variance of the logarithm is 1.8, so that only half of the edge belongs to the base.
+        // The tolerance is large because of the window: the frames keep 0.45 of the 5.9 stops from the room to the
+        // window, which is 2.7. If half of a neighbourhood is on either side of such an edge, the variance of the
+        // logarithm is 1.8, so that only half of the edge belongs to the base.
         assert!(error(&with) < 0.1 + 0.3 * truth.abs(), "{first:?} {second:?}: {truth}, {} off", error(&with));
         assert!(truth.abs() < 2.0 || error(&without) > 1.1 * error(&with), "{first:?} {second:?}: {}", error(&without));
     }
@@ -115,7 +116,8 @@ fn lights_of_a_phones_frames_are_shown_by_a_shorter_exposure() {
     let local = LocalGain::find(&bracket, &alignment, &ResponseCurve::srgb(), alignment.overlap).unwrap();
     let photographed = Photographed { longest: 0.25, shortest: 4.0, contrast: 1.0, white_stops: 2.2 };
     let expanded = local.photographed(photographed);
-    // The 2.2 stops from the middle to white are expanded by a factor of 1 to 2.5, so by at most 1.5 x 2.2 stops.
+    // The 2.2 stops from the middle to white are expanded by a factor of 1 to 2.5, so white becomes brighter by at most
+    // 1.5 x 2.2 stops.
     assert!(expanded.shortest > 4.5 && expanded.shortest < 4.0 * libm::exp2(1.5 * 2.2), "{expanded:?}");
     assert_eq!(Photographed { shortest: 4.0, ..expanded }, photographed);
 }
@@ -125,7 +127,8 @@ fn gain_of_a_cameras_frames_is_one() {
     let (bracket, alignment) = frames(1.0);
     let local = LocalGain::find(&bracket, &alignment, &ResponseCurve::srgb(), alignment.overlap).unwrap();
     for i in [0, 2] {
-        // Noise and rounding of one code value are 0.03 stops at the middle code value; the mean over a cell has less.
+        // The tolerance is 10 %. Noise and rounding of one code value are 0.03 stops at the middle code value, and less
+        // in the mean of a cell.
         assert!(local.against_reference(i, 0..SIZE.1).iter().all(|gain| (gain - 1.0).abs() < 0.1));
     }
 }
@@ -148,11 +151,11 @@ fn curve_is_flattened_where_no_phone_could_have_kept_so_much() {
         ResponseCurve::srgb().ln_exposure(0)[250] / curve(&evidence).ln_exposure(0)[250]
     };
     assert!((steepness(0.5, 0.9) - 1.0).abs() < 1e-9);
-    // A brightness level that shows 1.6 exposure steps under sRGB can have kept at most one: the curve is 1.6 times as
-    // steep as sRGB's.
+    // Under the sRGB curve, two frames differ by 1.6 exposure steps at some brightness level. In truth they can differ
+    // by at most one step, so the stops between the code values of sRGB are divided by 1.6.
     assert!((steepness(0.8, 1.6) - 1.6).abs() < 1e-9);
-    // The median place of a phone's frames keeps at most 0.6 of an exposure step (`MOST_FRACTION`). If it shows a full
-    // step under sRGB, the curve is 1 / 0.6 times as steep as sRGB's, although no brightness level shows more than a
-    // full step.
+    // In the median over the picture, a phone's frames differ by at most 0.6 of an exposure step (`MOST_FRACTION`). If
+    // they differ by a full step under sRGB, the stops between its code values are divided by 1 / 0.6, although no
+    // brightness level shows more than a full step.
     assert!((steepness(1.0, 1.0) - 1.0 / 0.6).abs() < 1e-9);
 }

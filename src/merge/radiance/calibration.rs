@@ -1,21 +1,22 @@
 //! Units: from radiance relative to the reference's exposure to cd/m2.
 //!
-//! In: a [`Calibration`], the reference frame and the response. Out: the luminance of radiance 1, or none if radiance
-//! stays relative. Cost: one multiplication a value. Source: the constant is that of Greg Ward's hdrgen,
-//! [`CAMERA_CONSTANT`]. ISO 12232:2019, section 6.2, derives 78 / 0.65 = 120 N^2 / (t S) for saturation-based speeds;
-//! without the half stop that it leaves for highlights, that is 85 N^2 / (t S).
+//! In: a [`Calibration`], the reference frame and the response. Out: the luminance of radiance 1, or `None` if radiance
+//! stays relative. Cost: one multiplication per value. Source: the constant is that of Greg Ward's hdrgen,
+//! [`CAMERA_CONSTANT`]. For comparison, ISO 12232:2019, section 6.2, derives 78 / 0.65 = 120 N^2 / (t S) for
+//! saturation-based speeds. Without the half stop that it leaves for highlights, that is 85 N^2 / (t S).
 //!
 //! The largest code value of a frame with exposure time t in s, f-number N and sensitivity S stands for the luminance L
-//! below. t, N and S are the exact steps that EXIF rounds, with the exposure correction of the merge.
+//! below. t, N and S are not the rounded values of EXIF but the exact steps of the camera; t S / N^2 includes the
+//! exposure correction of the merge.
 //!
 //! ```text
 //! L = 87 N^2 / (t S)  cd/m2
 //! ```
 //!
 //! and lower code values follow from the response. This is empirical: manufacturers rate sensitivity and shape curves
-//! differently, lenses lose light, times are rounded. Expect half a stop (a factor of 0.7 to 1.4), and the same error
-//! for all pictures of one camera, lens and aperture. One reading of a luminance meter removes it: the factor is
-//! measured luminance over reported luminance.
+//! differently, lenses lose light, times are rounded. Expect an error of half a stop (a factor of 0.7 to 1.4), the same
+//! for all pictures of one camera, lens and aperture. One reading of a luminance meter removes the error: the factor is
+//! measured luminance divided by reported luminance.
 
 use crate::bracket::Frame;
 use crate::error::{Error, Result};
@@ -28,8 +29,8 @@ use serde::Serialize;
 /// Luminance of the largest code value times t S / N^2, in cd/m2 s.
 pub const CAMERA_CONSTANT: f64 = 87.0;
 
-/// A factor on radiance or luminance, from 1e-20 to 1e20. Starlight to the sun is a factor of 1e14; larger factors
-/// exceed the range of f32.
+/// A factor on radiance or luminance, from 1e-20 to 1e20. The sun is only about 1e14 times as bright as starlight;
+/// results of larger factors may exceed the range of `f32`.
 #[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Factor(f64);

@@ -1,18 +1,20 @@
-//! Flare (veiling glare): light that lens and sensor scatter over the picture, estimated and subtracted.
+//! Flare (veiling glare): estimates and subtracts the light that lens and sensor scatter over the picture.
 //!
 //! In: radiance. Out: radiance without flare, and a [`FlareReport`]. Cost: two passes over the picture, and 11 Fourier
 //! transforms of 512 x 512, or 15 if flare is found: some 0.3 s of one core. Source: Ward's hdrgen (option `-f`;
-//! Reinhard et al., "High Dynamic Range Imaging", 2nd ed. 2010, chapter 4) bounds a point spread by the darkness around
-//! bright parts, and subtracts at most 98 %. Here the bound is computed for the whole picture at once, and used only if
-//! the picture shows flare.
+//! Reinhard et al., "High Dynamic Range Imaging", 2nd ed. 2010, chapter 4) derives an upper bound of the point spread
+//! from the darkness around bright parts, and subtracts at most 98 % of a pixel. Here the bound is computed for the
+//! whole picture at once, and used only if the picture shows flare.
 //!
-//! Flare is the picture convolved with a point spread that falls off as 1 / r^k from 2 cells on; a cell is 1/256 of the
-//! longer side. Light that is scattered less far is not estimated. No place is darker than the flare there, so the
-//! share s of scattered light is at most the minimum of (dark parts of a cell) / (flare there for s = 1). A scene
-//! without black parts and without flare has such a minimum too, but then the dark parts do not depend on the strength
-//! of the flare. Therefore the cells are sorted into 24 bins by that strength, and flare is found if in at least 6
-//! bins, over a range of a stop, the darkest cells come close to the same share, and the share is typical of lenses. k
-//! is the exponent with the most bins of this kind.
+//! Flare is the picture convolved with a point spread that falls off with the distance r as 1 / r^k, from 2 cells on; a
+//! cell is 1/256 of the longer side. Light that is scattered less far is not estimated.
+//!
+//! Let s be the share of light that is scattered. No place is darker than the flare there, so s is at most the minimum,
+//! over the cells, of (luminance of the dark parts of a cell) / (flare there for s = 1). A scene without black parts
+//! and without flare has such a minimum too, but then the dark parts do not become brighter where flare is stronger.
+//! Therefore the cells are sorted into 24 bins by the strength of flare. Flare is found if in at least 6 bins, which
+//! span at least a stop, the darkest cells give nearly the same share, and this share is typical of lenses. k is the
+//! exponent for which most bins do so.
 
 use crate::merge::radiance::statistics::{BT709, luminance};
 use crate::merge::{FLOOR, RadianceMap};
@@ -32,7 +34,8 @@ const NEAREST: f64 = 2.0;
 const EXPONENTS: [f64; 4] = [1.5, 2.0, 2.5, 3.0];
 /// Number of bins into which cells are sorted by the strength of the flare.
 const BINS: usize = 24;
-/// Shares of the darkest values that are ignored as outliers: of the cells of a bin, and of the pixels of a cell.
+/// Shares of the darkest values that are ignored as outliers: the first of the cells of a bin, the second of the pixels
+/// of a cell.
 const DARKER: (f64, f64) = (0.005, 0.05);
 /// A bin supports flare if its share of scattered light is within this factor of the minimum over all bins.
 const NEAR: f64 = 1.35;
@@ -40,11 +43,12 @@ const NEAR: f64 = 1.35;
 const FEWEST_BINS: usize = 6;
 /// Smallest range of flare strengths that the supporting bins must span, in stops.
 const RANGE: f64 = 1.0;
-/// Shares of scattered light that are subtracted. ISO 9358 finds 0.5 to 5 % for lenses; more is haze or bright shadows.
+/// Range of the shares of scattered light that are subtracted. ISO 9358 gives 0.5 to 5 % for lenses; more is haze or
+/// bright shadows.
 const SHARES: std::ops::Range<f64> = 0.002..0.1;
 /// Smallest ratio of the brightest to the darkest cell at which flare is visible (Ward's bound).
 const BRIGHT: f32 = 500.0;
-/// Largest share of a pixel that is subtracted.
+/// Largest fraction of a pixel's radiance that is subtracted.
 const MOST: f32 = 0.98;
 
 /// The section of the report on flare.
@@ -127,7 +131,7 @@ impl Cells {
         let mut best: Option<(Support, f64)> = None;
         for exponent in EXPONENTS {
             let found = support(&dark, &grey.times(&spread(exponent)).values(size));
-            // Of exponents with equal support the first is kept, with which flare reaches farthest.
+            // If exponents have equal support, the first and smallest is kept: its flare reaches farthest.
             if best.as_ref().is_none_or(|(b, _)| (found.bins, found.stops) > (b.bins, b.stops)) {
                 best = Some((found, exponent));
             }
@@ -194,7 +198,8 @@ impl Support {
 
 /// Compares the `dark` parts of the cells with the flare for a share of 1.
 fn support(dark: &Plane<f32>, flare: &Plane<f64>) -> Support {
-    // Where the flare is 0, the transforms leave rounding errors of some 1e-16 of the largest value.
+    // Where the flare is 0, the transforms leave rounding errors of some 1e-16 of the largest value. `least` is far
+    // above them.
     let least = flare.as_slice().iter().fold(0.0, |a: f64, &b| a.max(b)) * 1e-9;
     let mut cells: Vec<(f64, f64)> =
         flare.as_slice().iter().zip(dark.as_slice()).map(|(&v, &d)| (v.max(least), f64::from(d))).collect();
@@ -213,7 +218,7 @@ fn support(dark: &Plane<f32>, flare: &Plane<f64>) -> Support {
     Support { share, bins: near.len(), stops }
 }
 
-/// Returns the point spread that falls off as 1 / r^`exponent` around the top left value, with sum 1.
+/// Returns the transform of the point spread that falls off as 1 / r^`exponent` around the top left value, with sum 1.
 fn spread(exponent: f64) -> Spectrum {
     let away = |i: usize| i.min(SIZE - i) as f64;
     let at = |x: usize, y: usize| {
@@ -227,7 +232,7 @@ fn spread(exponent: f64) -> Spectrum {
 
 type Complex = (f64, f64);
 
-/// The Fourier transform of a picture of [`SIZE`] x [`SIZE`] real values, transposed.
+/// The Fourier transform of a picture of [`SIZE`] x [`SIZE`] real values.
 #[derive(Clone)]
 struct Spectrum(Plane<Complex>);
 
@@ -267,7 +272,7 @@ impl Spectrum {
     }
 }
 
-/// Returns the transforms of the rows, transposed.
+/// Transforms each row of `plane`, and returns the result transposed.
 fn transformed(mut plane: Plane<Complex>, sign: f64) -> Plane<Complex> {
     let roots: Vec<Complex> = (0..SIZE / 2)
         .map(|k| {
@@ -389,7 +394,7 @@ mod tests {
     #[test]
     fn scene_without_flare_is_unchanged() {
         let flat = RadianceMap { pixels: Plane::filled(70, 50, [0.4; 3]), primaries: Primaries::SRGB };
-        // Black is found only far from the window: no support.
+        // Black objects are only far from the window, so too few bins support flare.
         let mut grey = scene(120, 90);
         for (i, v) in grey.pixels.as_mut_slice().iter_mut().enumerate() {
             *v = v.map(|e| if i % 120 < 12 { e } else { e.max(0.25) });

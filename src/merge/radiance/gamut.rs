@@ -1,7 +1,7 @@
 //! Conversion of radiance to another colour space.
 //!
 //! In: a radiance map and a colour space. Out: the radiance in that space, with positive values, and the number of
-//! pixels that were outside it. Cost: 3 ns a pixel and core. Source: see [`crate::bracket::colour`].
+//! pixels that were outside it. Cost: 3 ns of one core per pixel. Source: see [`crate::bracket::colour`].
 //!
 //! A colour outside the space has a negative component, which RGBE and most programs cannot represent. The colour is
 //! desaturated towards the grey of its luminance until no component is negative: luminance and hue are kept.

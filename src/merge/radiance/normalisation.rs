@@ -1,13 +1,13 @@
 //! Normalisation: one unit of radiance for many brackets, so that they can be compared and stitched.
 //!
 //! In: the relative exposure t ISO / N^2, in s, that radiance 1 shall refer to, and the reference frame. Out: the
-//! factor on radiance. Cost: one multiplication a value, by
+//! factor on radiance. Cost: one multiplication per value, by
 //! [`calibration::calibrate`](crate::merge::radiance::calibration::calibrate).
 //!
 //! Merged radiance r refers to the exposure h of the reference frame: radiance 1 gives the frame its middle code value.
-//! So r / h does not depend on the reference frame, and r u / h is 1 for the radiance that gives the middle code value
-//! at the exposure u. Brackets with one response and one u agree within the errors of shutter, aperture and noise; with
-//! separate responses, within the difference of the responses.
+//! So r / h does not depend on the reference frame. With u for the requested exposure, r u / h is 1 for the radiance
+//! that gives the middle code value at u. Brackets with the same response and the same u agree within the errors of
+//! shutter, aperture and noise. Brackets with separate responses also differ by the difference of the responses.
 
 use crate::bracket::Frame;
 use crate::bracket::exposure::ExposureSource;

@@ -16,8 +16,8 @@ pub struct Photographed {
     /// frames: radiance at the middle code value of an exposure that would show the expanded highlights as bright as
     /// they are in the shortest frame.
     pub shortest: f64,
-    /// Displayed contrast below the middle code value, in stops per stop of the scene: 1 to 1.85. Cameras increase
-    /// contrast, and with it saturation.
+    /// Displayed contrast below the middle code value, in displayed stops per stop of the scene: 1 to 1.85. Cameras
+    /// increase contrast, and with it saturation.
     pub contrast: f64,
     /// Stops from the middle code value to the last one.
     pub white_stops: f64,
@@ -25,14 +25,15 @@ pub struct Photographed {
 
 /// Code values from which the contrast is computed: the darker half, without the darkest.
 const DARKER: std::ops::RangeInclusive<usize> = 24..=128;
-/// Smallest and largest contrast; code values with more are not made for a display (linear ones have 1.93).
+/// Smallest and largest contrast. Code values with a larger contrast are not made for a display: linear code values
+/// have 1.93.
 const CONTRASTS: (f64, f64) = (1.0, 1.85);
 /// Smallest and largest number of stops from the middle code value to white; sRGB has 2.2.
 const WHITES: (f64, f64) = (1.2, 6.0);
 /// Code value that is used as white: the last one that is not clipped.
 const LAST: usize = 254;
 
-/// The text before each number.
+/// The text before each number in a header comment.
 const WORDS: (&str, &str, &str, &str) =
     ("middle code of the photographs: radiance ", " to ", ", contrast ", ", stops to white ");
 
@@ -120,7 +121,7 @@ mod tests {
     fn contrast_is_that_of_the_curve_over_a_display_s() {
         let of = |curve: &ResponseCurve| Photographed::of([1.0].into_iter(), 1.0, curve).unwrap().contrast;
         assert!((of(&ResponseCurve::srgb()) - 1.0).abs() < 1e-3, "{}", of(&ResponseCurve::srgb()));
-        // A curve by which a display shows the power 1.5 of the light.
+        // With this curve, a display shows the scene's light raised to the power of 1.5.
         let ln = |code: usize| srgb_to_linear(f64::max(code as f64, 0.5) / 255.0).ln() / 1.5;
         let steeper = ResponseCurve::new([std::array::from_fn(ln); 3]).unwrap();
         assert!((of(&steeper) - 1.5).abs() < 1e-3, "{}", of(&steeper));

@@ -4,8 +4,8 @@
 //!
 //! The floor is the radiance at which signal and noise of the merged radiance are equal, with inverse variances as
 //! weights: 1 / sigma^2 = sum_j (dt_j / (sigma_Z dX/dZ))^2, where sigma_Z is the noise of a code value. In frames of 8
-//! bits, JPEG and noise lift black by up to 6 code values (`LIFT`), so lower code values are not counted: their
-//! radiance is not that of the scene. In frames of 16 bits all code values above black count.
+//! bits, JPEG and noise lift black by up to 6 code values (`LIFT`). There, code values up to 6 above black are not
+//! counted, because their radiance is not that of the scene. In frames of 16 bits all code values above black count.
 
 use crate::align::Alignment;
 use crate::bracket::{Bracket, Frame};
@@ -18,7 +18,7 @@ use serde::Serialize;
 
 /// Number of steps per stop of the search for the floor.
 const PER_STOP: usize = 16;
-/// Range of the search below the clipping of the longest frame, in stops: more than 16 bits.
+/// Range of the search below the clipping of the longest frame, in stops. 16-bit code values have fewer.
 const DEEPEST: usize = 20;
 
 /// The limits of reliable radiance, in the unit of the radiance.
@@ -45,7 +45,7 @@ impl Limits {
         let time = |frame: &Frame| frame.exposure.relative() / reference;
         let times: Vec<f64> = placed.iter().map(|frame| time(frame)).collect();
         let clips = |frame: &Frame| grey(|c| f64::from(curve.exposures(c)[CLIPS.1])) / time(frame);
-        // Sum over the frames of the squares of signal over noise.
+        // Returns the sum, over the frames, of the squared ratio of signal to noise.
         let ratio = |radiance: f64| -> f64 {
             let of_frame = |time: &f64| {
                 let codes: [f64; 3] = std::array::from_fn(|c| f64::from(curve.code(c, (radiance * time) as f32)));
@@ -102,8 +102,8 @@ mod tests {
     }
 
     /// By hand, for sRGB: code value 250 has 0.956 of the light of white, and code value 6 has 6 / 255 / 12.92 of the
-    /// light of white, which is 9.04 stops less. The floor is found in steps of a sixteenth of a stop. Every stop
-    /// between the shortest and the longest exposure adds one.
+    /// light of white. The ratio of the two is 9.04 stops. The floor is found in steps of a sixteenth of a stop. Every
+    /// stop between the shortest and the longest exposure adds one stop to the range.
     #[test]
     fn range_is_that_of_a_frame_and_the_span_of_the_exposures() {
         let curve = ResponseCurve::srgb();
@@ -112,7 +112,8 @@ mod tests {
             let limits = Limits::of(&bracket, &alignment, &curve).unwrap().unwrap();
             let range = libm::log2(limits.clipping / limits.noise_floor);
             assert!((range - 9.04 - span).abs() < 0.07, "{times:?}: {range}");
-            // In the unit of the radiance: the reference, the middle frame, has its middle code value at radiance 1.
+            // The limits are in the unit of the radiance: the reference, the middle frame, has its middle code value at
+            // radiance 1.
             let clipping = f64::from(curve.exposures(0)[250]) * libm::exp2(span / 2.0);
             assert!((limits.clipping / clipping - 1.0).abs() < 1e-6, "{limits:?}");
             assert_eq!(limits.times(2.0).clipping, 2.0 * limits.clipping);
@@ -128,8 +129,8 @@ mod tests {
         assert_eq!(stops(20.0, 20.0), 0.0);
     }
 
-    /// Linear code values of 16 bits. With a noise of 2 (of 255), code value 250 is log2(250 / 2) = 6.97 stops above
-    /// the noise. With a noise of 0.02, the range ends at the radiance of code value 0.
+    /// The frames have linear code values of 16 bits. With a noise of 2 (of 255), code value 250 is log2(250 / 2) =
+    /// 6.97 stops above the noise. With a noise of 0.02, the range ends at the radiance of code value 0.
     #[test]
     fn range_of_16_bit_frames_is_limited_by_noise_or_by_the_response() {
         let noisy = |time: f64, sigma: f64| {

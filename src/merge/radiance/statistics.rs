@@ -78,7 +78,8 @@ impl Tally {
     }
 
     fn add(&mut self, pixels: &[[f32; 3]], weights: [f32; 3]) {
-        // Blocks, so that luminances are computed with vector instructions before they are counted.
+        // Pixels are processed in blocks, so that luminances are computed with vector instructions before they are
+        // counted.
         let mut values = [0.0f32; 64];
         for pixels in pixels.chunks(values.len()) {
             let values = &mut values[..pixels.len()];
@@ -119,8 +120,8 @@ impl Tally {
 }
 
 impl Tally {
-    /// Returns the histogram in steps of `1 / per_stop` stops, from the first that is not empty to the last: the index
-    /// of the first step (0 begins at a luminance of 1) and the counts.
+    /// Returns the histogram in steps of `1 / per_stop` stops, from the first step that is not empty to the last. The
+    /// result is the index of the first step (step 0 begins at a luminance of 1) and the counts.
     ///
     /// # Panics
     /// If `per_stop` is 0.

@@ -1,7 +1,8 @@
-//! The evidence for the alignment on the page: overlay, bitmaps, XOR curves, keypoints and matches.
+//! What shows the quality of the alignment on the page: overlay, bitmaps, XOR curves, keypoints and matches.
 //!
 //! In: an [`Inspection`]. Out: pictures and SVG. Cost: that of the inspection's overlays and some small pictures.
-//! Source: Ward 2003, section 2 (bitmaps); Lowe 2004 (keypoints); the thesis's figures of chapter 4.
+//! Source: Ward 2003, section 2 (bitmaps); Lowe 2004 (keypoints); the figures of chapter 4 of the thesis on which
+//! hdralign is based.
 
 use crate::align::diagnostics::{Curve, FrameBitmaps, Matching, XorCurves};
 use crate::align::features::Keypoint;
@@ -18,8 +19,9 @@ use crate::page::{COARSE, DRAWING, is_searched};
 use crate::plane::Plane;
 use std::fmt::Write;
 
-/// Largest width of an overlay in pixels, and the largest number of frames whose overlays have this width. The overlays
-/// of more frames have together as many pixels as those of this number.
+/// Largest width of an overlay in pixels, and the largest number of frames whose overlays have this width. If there are
+/// more frames, the overlays are smaller, so that together they have as many pixels, but they are at least
+/// [`LEAST_OVERLAY`] wide.
 const OVERLAY: (usize, usize) = (680, 3);
 /// Smallest width of an overlay, in pixels.
 const LEAST_OVERLAY: usize = 360;
@@ -27,32 +29,33 @@ const LEAST_OVERLAY: usize = 360;
 const EDGES: u8 = 58;
 /// Largest number of lines between matches; more lines would hide each other.
 const LINES: usize = 120;
-/// Resolution of drawings of keypoints and matches: number of drawing units per pixel of the photograph. With two
-/// units, half a pixel can be distinguished.
+/// Resolution of drawings of keypoints and matches: number of drawing units per pixel of the photograph. With two units
+/// per pixel, positions can differ by half a pixel.
 const UNITS: usize = 2;
 
 /// Colours (red, green, blue, opacity) of the dark, bright and excluded pixels of a bitmap.
 const BITMAP: [[u8; 4]; 3] = [[28, 33, 40, 255], [238, 241, 244, 255], [214, 142, 48, 255]];
 
-/// The evidence for the alignment of one frame.
+/// What shows the quality of the alignment of one frame.
 #[derive(Debug, Clone)]
 pub(in crate::page) struct Evidence {
     pub bitmap: Picture,
-    /// Percentile and value of the threshold, and the fraction of excluded pixels.
+    /// Threshold of the bitmap, as a percentile and as a grey value, and the fraction of excluded pixels.
     pub threshold: (u8, u8, f64),
-    /// Difference from the bitmap of the reference; `None` for the reference.
+    /// Difference from the bitmap of the reference frame; `None` for the reference frame.
     pub xor: Option<Xor>,
     pub overlay: Option<Overlay>,
-    /// SVG of the keypoints and their numbers (only in the photograph, only in its bitmaps, in both), if features were
-    /// needed.
+    /// SVG of the keypoints, and three numbers of keypoints: only in the photograph, only in its bitmaps, and in both.
+    /// `None` if features were not needed.
     pub keypoints: Option<(String, [usize; 3])>,
-    /// SVG of the matches, their number and the number of inliers, if features were needed.
+    /// SVG of the matches, the number of matches, and the number of inliers. `None` if features were not needed.
     pub matches: Option<(String, usize, usize)>,
-    /// Whether the photograph behind keypoints and matches is brightened.
+    /// Whether the photograph behind the keypoints and matches is brightened.
     pub brightened: bool,
 }
 
-/// Fractions of bitmap pixels that differ before and after alignment, and plots over rotation and shift.
+/// Fractions of bitmap pixels that differ before and after alignment, and plots of this fraction as a function of
+/// rotation and shift.
 #[derive(Debug, Clone)]
 pub(in crate::page) struct Xor {
     pub before: f64,
@@ -60,7 +63,7 @@ pub(in crate::page) struct Xor {
     pub plots: [String; 3],
 }
 
-/// The edges of a frame over those of the reference.
+/// The edges of a frame, drawn over those of the reference.
 #[derive(Debug, Clone)]
 pub(in crate::page) struct Overlay {
     pub before: Picture,
@@ -76,7 +79,7 @@ pub(in crate::page) fn needs_features(alignment: &Alignment, i: usize) -> bool {
     }
 }
 
-/// Returns the evidence for all frames.
+/// Returns the [`Evidence`] of all frames.
 pub(in crate::page) fn gather(
     inspection: &Inspection,
     alignment: &Alignment,
@@ -131,7 +134,8 @@ pub(in crate::page) fn gather(
     (0..placements.len()).map(of).collect()
 }
 
-/// Returns a reduced picture of the bitmaps: 0 dark, 1 bright, 2 excluded, from the pixel in the middle of each cell.
+/// Returns a reduced picture of the bitmaps, with 0 for dark, 1 for bright and 2 for excluded pixels. Each value is
+/// that of the bitmap pixel in the middle of the reduced pixel.
 fn three_levels(bitmaps: &FrameBitmaps) -> Plane<u8> {
     let (threshold, exclusion) = (&bitmaps.bitmaps.threshold, &bitmaps.bitmaps.exclusion);
     let full = (threshold.width(), threshold.height());
@@ -144,7 +148,8 @@ fn three_levels(bitmaps: &FrameBitmaps) -> Plane<u8> {
     })
 }
 
-/// Draws three plots with the same vertical scale: over rotation, shift to the right, and shift down.
+/// Draws three plots with the same vertical scale: the difference as a function of rotation, of shift to the right, and
+/// of shift down.
 fn xor(curves: &XorCurves, is_placed: bool) -> Xor {
     let [dx, dy, angle] = curves.centre;
     let all = [&curves.by_angle, &curves.by_dx, &curves.by_dy];
@@ -173,8 +178,8 @@ fn xor(curves: &XorCurves, is_placed: bool) -> Xor {
     }
 }
 
-/// Returns SVG path data that draw a dot at each of `points`, in units of the drawing: strokes of length 0 with round
-/// ends.
+/// Returns SVG path data that draw a dot at each of `points`, in units of the drawing. A dot is a stroke of length 0
+/// with round ends.
 fn dots(points: impl Iterator<Item = (f64, f64)>) -> String {
     let mut path = String::new();
     for (x, y) in points {
@@ -214,13 +219,14 @@ fn keypoints(layers: &[Vec<Keypoint>; 3], photograph: &Picture, scale: f64) -> (
     (svg + "</svg>\n", counts)
 }
 
-/// Returns the units from the left or top of a drawing to the middle of the frame's pixel `at`.
+/// Returns the distance in drawing units from the left or upper edge of a drawing to the middle of the frame's pixel
+/// `at`.
 fn units(at: f64, scale: f64) -> f64 {
     (at + 0.5) * scale * UNITS as f64
 }
 
-/// Draws the matches between two photographs side by side, which have `scale` pixels per pixel of a frame; the
-/// reference is on the left.
+/// Draws the matches between two photographs side by side, with the reference on the left. Both photographs have
+/// `scale` pixels per pixel of a frame.
 fn matched(matching: &Matching, [reference, frame]: &[Picture; 2], scale: f64) -> String {
     let (w, h) = (UNITS * reference.width, UNITS * reference.height.max(frame.height));
     let gap = 8 * UNITS;
@@ -263,7 +269,8 @@ mod tests {
         // Every fourth match has a line; every match has two dots.
         assert_eq!((svg.matches('L').count(), svg.matches("h0").count()), (91, 722));
         assert!(svg.contains("361 matches") && svg.contains("181 agree"));
-        // The first match is at x = (0 + 1/2) * 0.5 * 2 = 0.5 units, rounded to even; the frame begins at 416 units.
+        // The first match is at x = (0 + 1/2) * 0.5 * 2 = 0.5 units, which is rounded to the even number 0. The frame
+        // begins at 416 units.
         assert!(svg.contains("M0 6L416 10"), "{}", &svg[..900]);
     }
 }

@@ -13,8 +13,8 @@ use rayon::prelude::*;
 /// Number of bands that are resampled at once.
 const AT_ONCE: usize = 8;
 
-/// Resamples `frame` by `warp` to the part `region` of the reference, and reduces it to `size` pixels; black outside of
-/// the frame. The frame is read in bands, so that a frame on disk need not fit into memory.
+/// Resamples `frame` by `warp` to the part `region` of the reference, and reduces it to `size` pixels. Pixels outside
+/// of the frame are black. The frame is read in bands, so that a frame on disk need not fit into memory.
 pub(in crate::page) fn frame(
     frame: &Frame,
     warp: &Transform,

@@ -10,30 +10,32 @@ use crate::plane::Plane;
 
 /// Largest long side of the overlay of motion, in pixels.
 const MOVEMENT: usize = 900;
-/// Largest long side of the overlay of the local gain, in pixels; the gain is smooth.
+/// Largest long side of the overlay of the local gain, in pixels. It can be small because the gain is smooth.
 const GAIN: usize = 200;
 
-/// Colours (red, green, blue, opacity) of places where none, some, most or all of the other frames were not merged.
+/// Colours (red, green, blue, opacity) where none, some, most or all of the frames other than the reference were not
+/// merged.
 const MOVED: [[u8; 4]; 4] = [[230, 0, 126, 0], [230, 0, 126, 120], [230, 0, 126, 150], [230, 0, 126, 180]];
-/// Smallest mask value where some of the other frames were not merged: one of 15 frames has 17.
+/// Smallest mask value that means that some of the other frames were not merged. For one of 15 frames, the mask has 17
+/// of 255.
 const FEW: u8 = 16;
-/// Smallest mask value where about half of the other frames were not merged.
+/// Smallest mask value that means that about half of the other frames were not merged.
 const HALF: u8 = 120;
-/// Smallest mask value where nearly all of the other frames were not merged.
+/// Smallest mask value that means that nearly all of the other frames were not merged.
 const NEARLY_ALL: u8 = 200;
 /// Colour of areas that are brighter than the exposure of the frame explains.
 const BRIGHTER: [u8; 3] = [20, 110, 255];
 /// Colour of areas that are darker than the exposure of the frame explains.
 const DARKER: [u8; 3] = [255, 120, 0];
-/// Opacity of these colours for the largest gain, of 255.
+/// Opacity of `BRIGHTER` and `DARKER` for the largest gain, from 0 to 255.
 const OPAQUE: f64 = 130.0;
-/// Number of steps of opacity for each of the two colours.
+/// Number of steps of opacity of `BRIGHTER`, and of `DARKER`.
 const STEPS: i32 = 7;
 
 /// Maps of the local gain of each frame relative to the reference.
 #[derive(Debug, Clone)]
 pub(in crate::page) struct Local {
-    /// Gain that the strongest colours show, in stops.
+    /// Gain in stops, up or down, that is shown by the strongest colours.
     pub most_stops: f64,
     /// Index in `frames` of the map with the greatest gain.
     pub strongest: usize,
@@ -41,7 +43,7 @@ pub(in crate::page) struct Local {
     pub frames: Vec<(usize, Picture)>,
 }
 
-/// Draws where something moved, from the ghost `mask`.
+/// Draws a picture of where something moved, from the ghost `mask`.
 pub(in crate::page) fn movement(mask: &Plane<u8>) -> Result<Picture, String> {
     let full = (mask.width(), mask.height());
     let small = reduce_to(mask, within(full, MOVEMENT));
@@ -80,7 +82,7 @@ pub(in crate::page) fn local(
     }
     let greatest = |map: &Plane<f32>| map.as_slice().iter().fold(0.0f32, |most, v| most.max(v.abs()));
     let most = maps.iter().map(|(_, map)| greatest(map)).fold(0.0, f32::max);
-    // Of maps with equal greatest gain, the first.
+    // If several maps have the greatest gain, the first of them is used.
     let strongest = maps.iter().position(|(_, map)| greatest(map) >= most).unwrap_or(0);
     let frames = maps.iter().map(|(frame, map)| Ok((*frame, coloured(map, most)?)));
     Ok(Some(Local { most_stops: f64::from(most), strongest, frames: frames.collect::<Result<_, String>>()? }))
@@ -96,7 +98,8 @@ fn coloured(stops: &Plane<f32>, most: f32) -> Result<Picture, String> {
     paletted(&Plane::from_vec(stops.width(), stops.height(), indices), &gain_palette())
 }
 
-/// Returns the colours from the smallest gain, where the camera had brightened the frame, to the largest.
+/// Returns the colours from the smallest gain to the largest. The gain is smallest where the camera had brightened the
+/// frame most.
 fn gain_palette() -> Vec<[u8; 4]> {
     let colour = |step: i32| {
         let [r, g, b] = if step < 0 { BRIGHTER } else { DARKER };

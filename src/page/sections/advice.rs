@@ -28,18 +28,18 @@ impl Advice {
         Advice { names, what: what.to_owned(), remedy: remedy.to_owned(), degrades: warning.degrades }
     }
 
-    /// Returns the remedy with `FILE` in place of the names of the frames.
+    /// Returns what to do, with `FILE` in place of the names of the frames.
     fn general(&self) -> String {
         self.names.iter().fold(self.remedy.clone(), |text, name| text.replace(name.as_str(), "FILE"))
     }
 
-    /// If this warning and `other` differ only in frames and measured values, adds the frames of `other` and returns
-    /// true.
+    /// If this warning and `other` differ only in their frames and measured values, adds the frames of `other` to this
+    /// warning and returns true.
     fn takes(&mut self, other: &Advice) -> bool {
         if self.names.is_empty() || other.names.is_empty() || self.general() != other.general() {
             return false;
         }
-        // Measured values follow a colon or are in parentheses.
+        // Only the text before a colon or parenthesis must be equal, because measured values follow it.
         let end = common(&self.what, &other.what);
         let is_end = |text: &str| text.is_empty() || text.trim_start().starts_with([':', '(']);
         let end = match is_end(&self.what[end..]) && is_end(&other.what[end..]) {

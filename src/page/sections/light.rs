@@ -12,13 +12,14 @@ use crate::response::{CODES, ResponseCurve};
 use std::f64::consts::LN_2;
 use std::fmt::Write;
 
-/// Range of code values that a frame measures well: noise is below it, clipping above.
+/// Range of code values that a frame measures well: there is noise below it, and clipping above it.
 const MEASURED: (usize, usize) = (8, 248);
-/// Lowest exposure that is drawn, in stops below the exposure of code value 128; that of code value 0 is not known.
+/// Lowest exposure that is drawn, in stops below the exposure of code value 128. The exposure of code value 0 is not
+/// known.
 const DEEPEST: f64 = 12.0;
 /// Height of the row that shows the range of one frame, in px of the drawing.
 const RANGE: f64 = 20.0;
-/// Largest fraction of the pixels in a step of the histogram that is not drawn if the step is at an end.
+/// Steps at the ends of the histogram are not drawn if they contain at most this fraction of the pixels.
 const TAIL: f64 = 2e-5;
 
 /// Returns the histogram and the response, or `None` if the frames were only aligned.
@@ -36,7 +37,7 @@ fn histogram(page: &Page, report: &Report, curve: &ResponseCurve) -> Option<Stri
     let (from, to) = (counts.iter().position(is_some)?, counts.iter().rposition(is_some)?);
     let per_stop = Page::PER_STOP as f64;
     let step = |i: usize| (*first + i as i64) as f64 / per_stop;
-    // Ratio of the exposure that defines the unit of radiance to the exposure of the reference.
+    // Exposure that defines the unit of radiance, divided by the exposure of the reference.
     let normalised = report.radiance.as_ref().and_then(|r| Some(r.unit_exposure_s? / r.reference_exposure));
     let unit = report.calibration.as_ref().map(|c| c.cd_m2_per_unit).or(normalised).map_or(0.0, libm::log2);
     let middle = match normalised {

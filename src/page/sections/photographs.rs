@@ -78,7 +78,8 @@ fn exposure(frame: &FrameReport) -> String {
     parts.join(" · ")
 }
 
-/// Returns the evidence for the alignment of every frame but the reference, then the keypoints of the reference.
+/// Returns the pictures and plots that show the alignment of each frame but the reference, then the keypoints of the
+/// reference.
 pub(in crate::page) fn moved(page: &Page, report: &Report) -> String {
     let all: Vec<(&FrameReport, &FramePage)> = report.frames.iter().zip(&page.frames).collect();
     let mut out = String::new();
@@ -187,7 +188,7 @@ fn comparison(frame: &FrameReport) -> String {
     out + "</dl>\n"
 }
 
-/// Returns the plots of the bitmap difference over rotation and shift.
+/// Returns the plots of the bitmap difference as a function of rotation and of shift.
 fn curves(xor: &Xor, frame: &FrameReport) -> String {
     let [angle, dx, dy] = &xor.plots;
     let about = if frame.alignment.status.rejected_by().is_some() {
@@ -205,7 +206,7 @@ fn curves(xor: &Xor, frame: &FrameReport) -> String {
     )
 }
 
-/// Returns the keypoints and matches, if features were needed.
+/// Returns the keypoints and matches of a frame, if its alignment needed features.
 fn features(evidence: &Evidence, frame: &FrameReport) -> String {
     let mut out = String::new();
     let bright = if evidence.brightened { " The frame is shown brightened." } else { "" };

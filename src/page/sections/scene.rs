@@ -7,7 +7,8 @@ use crate::page::Page;
 use crate::page::markup::{file_name, img, percent, signed};
 use crate::report::Report;
 
-/// Returns the share of the picture where each frame is not used because of movement, or `None` without deghosting.
+/// Returns, for each frame, the share of the picture where the frame is not used because something moved; `None`
+/// without deghosting.
 pub(in crate::page) fn moved(report: &Report) -> Option<String> {
     let ghosts = report.ghosts.as_ref()?;
     let row = |frame: &crate::merge::deghost::GhostFrame| {
@@ -24,7 +25,7 @@ pub(in crate::page) fn moved(report: &Report) -> Option<String> {
     ))
 }
 
-/// Returns the local gain of each frame, or `None` if the frames were not locally processed.
+/// Returns the local gain of each frame; `None` if the frames were not locally processed.
 pub(in crate::page) fn processed(page: &Page, report: &Report) -> Option<String> {
     let local = page.local.as_ref()?;
     let found = report.local_processing.as_ref()?;

@@ -61,7 +61,7 @@ pub(in crate::page) fn settings(report: &Report) -> String {
     }
     out += "<h3>Settings</h3>\n<dl class=\"numbers\">\n";
     let mut rows: Vec<_> = options(report).into_iter().map(|(name, value)| (named(&name), value)).collect();
-    // Tone mapping parameters follow the name of the operator.
+    // The parameters of the tone mapping operator are sorted behind its name.
     rows.sort_by_key(|((at, words, option), ..)| (*at, *option == "--tmo-set", words.clone()));
     for ((_, words, option), value) in rows {
         let option = if option.is_empty() { String::new() } else { format!(" <code>{option}</code>") };
@@ -103,7 +103,7 @@ fn named(name: &str) -> (usize, String, &'static str) {
     let known = NAMES.iter().position(|(key, ..)| *key == name);
     match (known, name.strip_prefix("operator, ")) {
         (Some(at), _) => (at, NAMES[at].1.to_owned(), NAMES[at].2),
-        // A parameter has the position of the operator's name in NAMES, 1.
+        // A parameter of the tone mapping operator gets the position of the operator's name in `NAMES`, which is 1.
         (None, Some(key)) => (1, format!("Tone mapping, {key}"), "--tmo-set"),
         (None, None) => (NAMES.len(), name.to_owned(), ""),
     }

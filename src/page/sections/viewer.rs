@@ -24,7 +24,7 @@ pub(in crate::page) fn viewer(page: &Page, report: &Report, result: Option<&Pict
         None => (" hidden", String::new(), ""),
     };
     let (layers, switches) = overlays(page, report);
-    // At a zoom of 100 %, a pixel of `held` is a pixel of the screen.
+    // `held` is the picture that defines the zoom: at 100 %, one pixel of it is one pixel of the screen.
     let held = result.or(page.frames.first().map(|frame| &frame.photograph));
     let width = held.map_or(crop.width_px, |picture| picture.width);
     format!(
@@ -68,7 +68,7 @@ fn choices(report: &Report, has_result: bool) -> String {
     out + "</fieldset>\n"
 }
 
-/// Formats stops with one decimal, or without decimals if that one is zero.
+/// Formats stops with one decimal, or without decimals if the decimal is 0.
 fn short(stops: f64) -> String {
     let words = signed(stops, 1);
     words.strip_suffix(".0").map_or_else(|| words.clone(), str::to_owned)

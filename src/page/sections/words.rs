@@ -8,13 +8,13 @@ use crate::merge::local::LocalReport;
 use crate::page::markup::{escape, file_name, percent, signed};
 use crate::report::{FrameReport, Report};
 
-/// Alignment error below which the result shows no difference, in px.
+/// Alignment error in px below which no error can be seen in the result.
 const UNSEEN_PX: f64 = 0.3;
-/// Alignment error above which fine detail may be blurred, in px.
+/// Alignment error in px from which on fine detail may be blurred.
 const SOFT_PX: f64 = 1.0;
-/// Smallest fraction of the picture that is reported.
+/// Smallest share of the picture that is mentioned, for example of pixels that are cropped or clipped.
 const WORTH: f64 = 0.005;
-/// Smallest exposure correction that is reported, in stops.
+/// Smallest exposure correction that is mentioned, in stops.
 const CORRECTED: f64 = 0.15;
 
 /// Returns the list of processing steps, one sentence or more for each.

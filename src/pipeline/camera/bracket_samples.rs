@@ -31,11 +31,12 @@ pub(super) struct BracketSamples {
     pub report: BracketReport,
 }
 
-/// Returns the data of all `brackets` that can be used, at least of one.
+/// Returns the data of all `brackets` that can be used; there is at least one.
 ///
 /// # Errors
-/// The error of the first bracket that cannot be used. If such brackets are skipped: [`Error::NoResponse`] if none is
-/// left, [`Error::Scratch`] and [`Error::Cancelled`], which no bracket causes.
+/// The error of the first bracket that cannot be used. If `lenient` is set, such brackets are skipped instead, and the
+/// errors are [`Error::NoResponse`] if no bracket is left, and [`Error::Scratch`] and [`Error::Cancelled`], which are
+/// not the fault of a bracket.
 pub(super) fn collect(
     brackets: &[Vec<PathBuf>],
     options: &Options,

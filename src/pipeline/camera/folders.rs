@@ -1,6 +1,6 @@
 //! Folders of photographs as brackets: one bracket per folder.
 //!
-//! In: photographs and folders, as typed. Out: the photographs of each bracket. Cost: reading the folders.
+//! In: photographs and folders, as the user gave them. Out: the photographs of each bracket. Cost: reading the folders.
 
 use crate::bracket::EXTENSIONS;
 use crate::bracket::header::Header;

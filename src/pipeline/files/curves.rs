@@ -1,8 +1,8 @@
-//! Response files written by a run, and the accuracy lost by merging with them.
+//! Response files written by a run, and the accuracy that is lost if frames are merged with these files.
 //!
-//! In: a curve, and a [`Miniature`] of each bracket from which it was recovered. Out: the files, complete but not yet
-//! named, with their warnings. Cost: two merges of some thousand pixels for each format that does not represent a
-//! curve exactly.
+//! In: a curve, and a [`Miniature`] (some thousand pixels) of each bracket from which it was recovered. Out: the
+//! files, complete but not yet named, with their warnings. Cost: two merges of some thousand pixels for each format
+//! that does not represent a curve exactly.
 
 use crate::align::Alignment;
 use crate::bracket::Bracket;
@@ -12,12 +12,12 @@ use crate::response::file::{Format, SavedResponse};
 use crate::write::{self, Written};
 use std::path::{Path, PathBuf};
 
-/// Numbers of pixels for which the loss is computed: in all brackets together, and at least in each bracket. The first
-/// is so large that one percent of these pixels is still 160 pixels.
+/// Numbers of pixels for which the loss of accuracy is computed: in all brackets together, and at least in each single
+/// bracket. The first number is so large that one percent of these pixels is still 160 pixels.
 const PIXELS: (usize, usize) = (16384, 256);
 
-/// Returns pixels of `bracket`, one of `brackets` brackets, from which the loss by the files `paths` is computed;
-/// `None` if their formats are exact.
+/// Returns pixels of `bracket` (one of `brackets` brackets) from which the accuracy lost by the files `paths` is
+/// computed; `None` if the formats of all these files are exact.
 pub(crate) fn miniature(
     paths: &[PathBuf],
     bracket: &Bracket,

@@ -61,8 +61,8 @@ pub(super) fn check(images: &[PathBuf], options: &Options) -> Result<()> {
 
 /// Returns `options` and, if the file of transforms exists, its path and content.
 ///
-/// The options then have the placements of this file and, unless the user has chosen a reference, its reference. They
-/// no longer name the file, so that it is not written.
+/// If the file exists, the returned options contain its transforms and, unless the user has chosen a reference, its
+/// reference. They no longer name the file, so that the run does not write it.
 pub(super) fn with_transforms(
     images: &[PathBuf],
     options: &Options,

@@ -5,18 +5,20 @@
 use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 
-/// Returns the results if no output is given: beside the first input by name, named after the first and the last,
-/// such as `IMG_0001-IMG_0003.exr` and `.png`.
+/// Returns the output files of a run for which the user names none. Inputs are sorted by name. The output files are
+/// beside the first input, and named after the first and the last, such as `IMG_0001-IMG_0003.exr` and `.png`.
 pub fn default_outputs(images: &[PathBuf]) -> Vec<PathBuf> {
     named_after(images, &["exr", "png"])
 }
 
-/// Returns the folder of an inspection if none is given: as [`default_outputs`], with the extension `.inspect`.
+/// Returns the folder of an inspection if the user names none: as in [`default_outputs`], with the extension
+/// `.inspect`.
 pub fn default_folder(images: &[PathBuf]) -> PathBuf {
     named_after(images, &["inspect"]).pop().unwrap_or_default()
 }
 
-/// Returns names beside the first of `images` by name, after the first and the last, with each of `extensions`.
+/// Sorts `images` by name. Returns a path for each of `extensions`: beside the first image, and named after the first
+/// and the last image.
 fn named_after(images: &[PathBuf], extensions: &[&str]) -> Vec<PathBuf> {
     let mut sorted: Vec<&PathBuf> = images.iter().collect();
     sorted.sort_by(|a, b| natural(a, b));
@@ -37,7 +39,7 @@ fn named_after(images: &[PathBuf], extensions: &[&str]) -> Vec<PathBuf> {
         .collect()
 }
 
-/// Compares names in natural order: numbers in them count as numbers, 9 before 10.
+/// Compares names in natural order: numbers in the names are compared as numbers, so that 9 comes before 10.
 pub fn natural(a: &Path, b: &Path) -> Ordering {
     let text = |p: &Path| p.to_string_lossy().into_owned();
     let (left, right) = (text(a), text(b));
@@ -63,7 +65,8 @@ pub fn natural(a: &Path, b: &Path) -> Ordering {
     }
 }
 
-/// Returns the name of a tone-mapped picture if none is given: beside the radiance map `input`, as `.png`.
+/// Returns the name of a tone-mapped picture if the user gives none: beside the radiance map `input`, with the
+/// extension `.png`.
 pub fn default_picture(input: &Path) -> PathBuf {
     input.with_extension("png")
 }

@@ -1,8 +1,8 @@
 //! Exposure fusion: from the aligned frames to a picture, without radiance.
 //!
 //! In: a bracket and its alignment. Out: the picture, encoded in its colour space. Cost: that of the fusion, and of
-//! resampling each frame twice. If something moved, all frames between a frame and the reference are resampled with it,
-//! and the reference too.
+//! resampling each frame twice. If something moved, resampling a frame includes resampling the reference and all
+//! frames between the frame and the reference.
 
 use crate::align::Transform;
 use crate::align::resampling::{OUTSIDE, resample_rows, rows_under};
@@ -18,7 +18,7 @@ use crate::tonemap::fusion::{self, Channels};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// The fused frames.
+/// The frames that are fused.
 struct Fused<'a> {
     aligned: &'a Aligned,
     placed: Vec<Placed<'a>>,
@@ -27,7 +27,7 @@ struct Fused<'a> {
     ghosts: Option<&'a Ghosts>,
 }
 
-/// Fuses the frames. Returns codes in `colours`, 0 to 1 except for some overshoot.
+/// Fuses the frames. Returns code values in the colour space `colours`, from 0 to 1 except for some overshoot.
 ///
 /// # Errors
 /// [`Error::Scratch`](crate::error::Error::Scratch).
@@ -54,7 +54,7 @@ pub(crate) fn fused(
 }
 
 impl Fused<'_> {
-    /// Returns the codes of merged frame `k`, 0..=1; -1 outside of the frame.
+    /// Returns the codes of merged frame `k`, 0..=1; -1 where the frame does not cover the region.
     fn codes(&self, k: usize) -> Result<Channels> {
         let region = self.aligned.region;
         let (width, height) = (region.width(), region.height());
@@ -73,11 +73,11 @@ impl Fused<'_> {
 
     /// Returns the codes of merged frame `k` in some rows of the region.
     ///
-    /// Where something moved, the codes of the frame are replaced by the codes that it would have for the radiance of
-    /// its neighbour, the next frame towards the reference. In the neighbour, motion has been replaced in the same way.
-    /// If the frame is darker than the reference, this radiance is first completed by [`Ghosts::fill`] where the
-    /// reference is clipped. A weight of 0 instead would not be enough: the coarse levels of the pyramids extend motion
-    /// beyond its borders.
+    /// Where something moved, the codes of the frame are replaced. The new codes are those that the frame would have
+    /// for the radiance of its neighbour, the next frame towards the reference. In the neighbour, motion has been
+    /// replaced in the same way. If the frame is darker than the reference, the radiance of the neighbour is first
+    /// completed by [`Ghosts::fill`] where the reference is clipped. A weight of 0 instead of new codes would not be
+    /// enough: the coarse levels of the pyramids would spread the moving object beyond its borders.
     fn rows(&self, k: usize, rows: Range<usize>) -> Result<Vec<[f32; 3]>> {
         let (Fused { aligned, placed, .. }, region) = (self, self.aligned.region);
         let (_, frame, warp) = &placed[k];
@@ -87,7 +87,8 @@ impl Fused<'_> {
         let mut codes = vec![[0.0f32; 3]; columns.len() * lines.len()];
         resample_rows(&window, warp, columns, lines, &mut codes);
         for code in &mut codes {
-            // A negative code means outside, so overshoot of the kernel below 0 is clamped.
+            // A negative code marks a pixel outside of the frame. So codes below 0 from the overshoot of the
+            // resampling kernel are clamped to 0.
             *code = if code[0] == OUTSIDE { [-1.0; 3] } else { code.map(|c| (c / 255.0).clamp(0.0, 1.0)) };
         }
         let reference = placed.iter().position(|(i, _, _)| *i == aligned.bracket.reference_index()).unwrap_or(k);
@@ -119,8 +120,8 @@ impl Fused<'_> {
 /// A merged frame: its index in the bracket, the frame, and its transform.
 type Placed<'a> = (usize, &'a Frame, Transform);
 
-/// Converts codes of a frame to codes of the picture, both 0 to 1, because the measures of fusion are defined for
-/// displayed colours.
+/// Converts codes of a frame to codes of the picture, both 0 to 1, because the quality measures of fusion are defined
+/// for displayed colours.
 struct ToShown {
     transfer: Transfer,
     conversion: Conversion,
@@ -128,7 +129,8 @@ struct ToShown {
 }
 
 impl ToShown {
-    /// Returns `None` if `frame` has the `colours` of the picture, or no colour space.
+    /// Returns `None` if no conversion is needed, because `frame` has the `colours` of the picture, or if the
+    /// primaries of `frame` span no colour space.
     fn of(frame: &Frame, colours: Colours) -> Option<ToShown> {
         let (primaries, transfer) = (frame.primaries(), Transfer::of(frame.profile.as_ref()));
         let shown = colours.primaries();
@@ -166,8 +168,9 @@ mod tests {
         let aligned = Aligned { bracket, alignment, region };
         let fused = fused(&aligned, &curve, Some(&ghosts), &fusion::Options::default(), Colours::Srgb).unwrap();
         for c in 0..3 {
-            // The tolerance covers the rounding of the codes from which the sky is continued, and of sums over the
-            // levels. Without deghosting, the code at the mover is 99, and 158 in the sky around it.
+            // The tolerance is two code values, for the rounding of the codes from which the sky behind the moving
+            // object is computed, and of the sums over the pyramid levels. Without deghosting, the code would be 99 at
+            // the moving object, and 158 in the sky around it.
             let (found, around) = (255.0 * fused[c].at(120, 90), 255.0 * fused[c].at(20, 90));
             assert!((found - around).abs() < 2.0, "channel {c}: {found} in {around}");
         }

@@ -43,7 +43,7 @@ pub(super) struct Run<'a> {
     began: Instant,
     times: Times,
     pub warnings: Vec<Warning>,
-    /// The report page, if requested.
+    /// The HTML report, if requested.
     page: Option<Page>,
 }
 
@@ -55,7 +55,7 @@ impl<'a> Run<'a> {
         Run { options, watch, stage: None, transforms_from: None, began, times, warnings, page: None }
     }
 
-    /// Adds a report page, if the requested report is HTML.
+    /// Adds an HTML report, if the user requested one.
     pub fn with_page(mut self) -> Self {
         let is_page = |path: &&PathBuf| report::Format::of(path).is_ok_and(|format| format == report::Format::Html);
         self.page = self.options.report.as_ref().filter(is_page).map(|path| Page::new(path));
@@ -81,7 +81,7 @@ impl<'a> Run<'a> {
     /// Loads the bracket `images`; memory is planned for these `stages`.
     pub fn load(&mut self, images: &[PathBuf], stages: &Stages) -> Result<Bracket> {
         let began = self.begin(Stage::Load)?;
-        // The answer is ignored, because runs are cancelled between stages only.
+        // The callback's return value is ignored, because runs are cancelled between stages only.
         let decoded = |done| {
             let _ = (self.watch)(Progress::Decoded(done));
         };
@@ -91,14 +91,15 @@ impl<'a> Run<'a> {
         Ok(bracket)
     }
 
-    /// Aligns `bracket` to its own reference or to another frame: [`reference::align`].
+    /// Aligns `bracket` to its own reference or, if that fails, to another frame: see [`reference::align`].
     pub fn align(&mut self, bracket: Bracket) -> Result<Aligned> {
         let began = self.begin(Stage::Align)?;
         let loaded = bracket.reference_index();
         let (bracket, alignment, warnings) = reference::align(bracket, self.options)?;
         self.times.align = Some(began.elapsed().as_secs_f64());
         if bracket.reference_index() != loaded {
-            // These warnings compare profiles with that of the reference, which is another frame now.
+            // These warnings compare the profiles of frames with the profile of the reference, which is another frame
+            // now.
             self.warnings.retain(|warning| !matches!(warning, Warning::ProfilesDiffer { .. }));
             self.warnings.extend(bracket::differing_profiles(&bracket));
         }
@@ -156,7 +157,7 @@ impl<'a> Run<'a> {
         Ok(picture)
     }
 
-    /// Collects the data of the page from the frames, while they are in memory.
+    /// Collects the data of the HTML report from the frames, before they are freed.
     pub fn gather(&mut self, aligned: &Aligned, merged: Option<(&Camera, &Radiance)>) -> Result<()> {
         let Some(mut page) = self.page.take() else { return Ok(()) };
         let began = self.begin(Stage::Inspect)?;
@@ -192,7 +193,7 @@ impl<'a> Run<'a> {
             files.push(write::text(path, &SavedAlignment::of(bracket, alignment).to_json())?);
         }
         if let Some(prefix) = &self.options.save_aligned {
-            // The unit of radiance does not apply to frames.
+            // The comments are about the unit and range of radiance, and do not apply to frames.
             let metadata = |frame: &Frame| Metadata { comments: Vec::new(), ..metadata(frame, None, self.options) };
             files.extend(aligned::write(bracket, alignment, *region, prefix, metadata)?);
         }

@@ -1,7 +1,7 @@
 //! The picture: computes its rows with all requested adjustments.
 //!
-//! In: radiance, or the fused frames. Out: codes of rows. Cost: one pass over the input, and one over a part of it to
-//! estimate the white balance; then that of the operator and of the adjustments.
+//! In: radiance, or the fused frames. Out: code values of rows. Cost: one pass over the input; one more over a part of
+//! it if the white balance is estimated; then that of the operator and of the adjustments.
 
 use crate::bracket::colour::{Primaries, srgb_to_linear};
 use crate::error::{Result, Warning};
@@ -24,7 +24,7 @@ pub(crate) type Each<'a> = &'a dyn Fn(&mut dyn FnMut(usize, &RadianceMap) -> Res
 /// A picture whose rows can be computed.
 pub(crate) struct Picture {
     source: Source,
-    /// The light that is shown as white, if it is not that of the photographs.
+    /// The light that is shown as white; `None` if the white of the photographs is kept.
     pub light: Option<Light>,
     adjusted: Option<Adjusted>,
 }
@@ -33,7 +33,7 @@ pub(crate) struct Picture {
 enum Source {
     /// Computed from radiance.
     Toned(Tones),
-    /// Fused and encoded, 0 to 1.
+    /// Fused frames, as code values from 0 to 1.
     Fused(Channels),
 }
 
@@ -41,10 +41,11 @@ enum Source {
 const SHOWN_ROWS: usize = 16;
 
 impl Picture {
-    /// Creates the picture, by `operator`, of the radiance that `each` passes, which has this size and these primaries.
+    /// Creates the picture that `operator` makes of the radiance. `each` passes the radiance, which has this size and
+    /// these primaries.
     ///
     /// # Errors
-    /// Those of `each`, and of a spot that is not grey.
+    /// Those of `each`; an error if the spot that the user chose as grey is not grey.
     pub fn toned(
         each: Each,
         (size, primaries): ((usize, usize), Primaries),
@@ -102,7 +103,7 @@ impl Picture {
     /// Creates the picture of fused frames, in codes of the picture's colour space.
     ///
     /// # Errors
-    /// If the grey spot of the white balance is not grey.
+    /// If the spot that the user chose as grey is not grey.
     pub fn fused(channels: Channels, options: &Options) -> Result<Picture> {
         let (width, height) = (channels[0].width(), channels[0].height());
         let (primaries, encoder) = (options.colours.primaries(), Encoder::of(options.colours));
@@ -171,11 +172,11 @@ impl Picture {
 
 /// Number of pixels that are enough to estimate the mean colour of a picture.
 const ENOUGH_PIXELS: usize = 1 << 18;
-/// Largest distance between the rows from which the mean colour is estimated, in rows.
+/// Largest step, in rows, between the rows from which the mean colour is estimated.
 const MOST_STEP: usize = 8;
 
-/// Returns the light to be shown as white in a picture of `size` pixels, if it is not that of the photographs;
-/// `scene` returns the reduced picture, and `spot` the surroundings of a pixel.
+/// Returns the light to be shown as white in a picture of `size` pixels; `None` if the white of the photographs is
+/// kept. `scene` returns the reduced picture, and `spot` measures the light around a pixel.
 fn white(
     options: &Options,
     size: (usize, usize),
@@ -221,7 +222,7 @@ mod tests {
     /// The light of a warm lamp in linear sRGB: about 3400 K.
     const WARM: [f32; 3] = [1.55, 0.9, 0.37];
 
-    /// Twelve stops of surfaces with several colours in warm light, and a grey card.
+    /// Returns a scene of surfaces with several colours in warm light, over twelve stops, with a grey card.
     fn scene() -> RadianceMap {
         let pixels = Plane::from_rows(SIZE.0, SIZE.1, |y, row| {
             for (x, p) in row.iter_mut().enumerate() {
@@ -236,7 +237,7 @@ mod tests {
         RadianceMap { pixels, primaries: Primaries::SRGB }
     }
 
-    /// The fused frames: the scene as a camera shows it.
+    /// Returns the scene as channels of fused frames: with the curve of a camera.
     fn channels() -> Channels {
         let map = scene();
         std::array::from_fn(|c| {
@@ -245,7 +246,7 @@ mod tests {
         })
     }
 
-    /// Returns the picture of every operator, and of fusion, with the adjustments.
+    /// Returns the pictures of all operators and, last, of fusion, with the adjustments `adjust`.
     fn every(adjust: adjust::Options) -> Vec<Vec<[f32; 3]>> {
         let (map, options) = (scene(), Options { adjust, ..Options::default() });
         let each: Each = &|see| see(0, &map);
@@ -311,8 +312,8 @@ mod tests {
         for k in 0..plain.len() {
             assert!(plain[k] > 0.3, "{k}: {}", plain[k]);
             assert!(by_spot[k].abs() < 0.02, "{k}: {}", by_spot[k]);
-            // The codes of the fused frames went through a curve, so the light of the radiance is not white in their
-            // picture.
+            // The last picture, of the fused frames, is not tested with `by_light`. Their codes went through a curve,
+            // so the light measured in radiance is not the light in their codes.
             assert!(k == plain.len() - 1 || by_light[k].abs() < 0.02, "{k}: {}", by_light[k]);
             assert!(by_itself[k].abs() < 0.85 * plain[k], "{k}: {} of {}", by_itself[k], plain[k]);
         }

@@ -34,7 +34,7 @@ pub(crate) struct Radiance {
     pub ghosts: Option<Ghosts>,
     /// `None` if flare was not requested.
     pub flare: Option<FlareReport>,
-    /// The factors of locally processed frames.
+    /// The local brightness factors of frames that the camera tone-mapped locally; `None` for other frames.
     pub local: Option<LocalGain>,
     pub tally: Tally,
     pub statistics: Statistics,
@@ -72,7 +72,7 @@ pub(crate) fn merged(
             })?;
         }
     }
-    // All exposures, also of rejected frames: they show which brightness the photographer intended.
+    // The exposures of rejected frames count too, because they show which brightness the photographer intended.
     let exposures = bracket.frames().iter().map(|frame| frame.exposure.relative());
     let photographed = Photographed::of(exposures, bracket.reference().exposure.relative(), curve);
     let photographed = match &local {
@@ -123,7 +123,7 @@ fn found(rows: &RadianceRows) -> Result<Option<Flare>> {
 enum Room {
     /// All rows.
     Enough,
-    /// At most this number; all rows are written to this file.
+    /// At most this number of rows; the radiance of all rows is written to this file.
     Rows(usize, Arc<Scratch>),
 }
 
@@ -131,11 +131,11 @@ impl Room {
     /// Chooses the number of rows by the memory that the `bracket` leaves for radiance of this size.
     fn of(bracket: &Bracket, (width, height): (usize, usize), options: &Options) -> Room {
         let (Some(scratch), Some(budget)) = (bracket.scratch(), bracket.budget()) else { return Room::Enough };
-        // Number of bytes for each row: those of the row in all frames, and a quarter more because frames may have
-        // moved; those of the row of radiance; those of the row of the picture.
+        // A row takes the bytes of this row in all frames, a quarter more because frames may have moved, and the bytes
+        // of a row of radiance and of a row of the picture.
         let row = bracket.frames().len() as u64 * bracket.reference().row_bytes() * 5 / 4 + 24 * width as u64;
         let rows = (budget.slab(rayon::current_num_threads()) / row) as usize;
-        // Parts consist of complete bands, or of complete cells of the flare estimate.
+        // Parts consist of complete bands or, if flare is subtracted, of complete cells of the flare estimate.
         let unit = if options.flare { flare::Cells::new(width, height).side() } else { BAND_ROWS };
         Room::Rows((rows / unit * unit).max(unit), scratch.clone())
     }

@@ -4,9 +4,9 @@
 //! up to three times as much if at least half of the frames are rejected.
 //!
 //! By default the reference is the frame with the most pixels that are neither clipped nor black. If that frame shows
-//! another scene, is mirrored, or somebody walked through it, all other frames are rejected although the reference is
-//! wrong. Then the best of the rejected frames is tried as the reference, and is used if more frames are aligned with
-//! confidence. A reference chosen by the user is kept.
+//! another scene, is mirrored, or somebody walked through it, all other frames are rejected although only the
+//! reference is wrong. Then the best of the rejected frames is tried as the reference, and is used if more frames are
+//! aligned to it with confidence. A reference chosen by the user is kept.
 
 use crate::align;
 use crate::align::preset::PresetTransform;
@@ -27,7 +27,7 @@ const OTHERS: usize = 2;
 /// A frame counts in favour of another reference only if its confidence is at least this. If parallax makes every
 /// transform uncertain, no frame counts, and the first reference, which is still the best one, is kept.
 const SURE: f64 = 0.8;
-/// Replaces [`SURE`] if no frame is aligned to the first reference.
+/// Replaces [`SURE`] if no other frame is aligned to the current reference.
 const LIKELY: f64 = 0.5;
 
 /// Aligns `bracket`. Returns it with the reference to which it was aligned.
@@ -39,8 +39,8 @@ pub(crate) fn align(mut bracket: Bracket, options: &Options) -> Result<(Bracket,
     if !is_open(options) {
         return Ok((bracket, alignment, warnings));
     }
-    // A frame that was aligned to a reference shows the same scene as that reference, and need not be tried as the
-    // reference.
+    // A frame that was aligned to a reference shows the same scene as that reference. So it need not be tried as the
+    // reference itself.
     let mut done: Vec<bool> = excluded(&bracket, options);
     for _ in 0..OTHERS {
         let placed = count(&bracket, &alignment, 0.0);
@@ -85,7 +85,7 @@ fn count(bracket: &Bracket, alignment: &Alignment, least: f64) -> usize {
     alignment.placed(bracket).filter(|(i, ..)| alignment.placements[*i].confidence() >= least).count()
 }
 
-/// Marks the frames that are aligned.
+/// Sets `done` for the frames that are aligned.
 fn mark(bracket: &Bracket, alignment: &Alignment, done: &mut [bool]) {
     alignment.placed(bracket).for_each(|(i, ..)| done[i] = true);
 }

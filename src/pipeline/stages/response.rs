@@ -1,8 +1,8 @@
-//! Response: corrected exposures, and the meaning of code values.
+//! Response: corrects the exposures, and determines the response of the camera.
 //!
-//! In: an aligned bracket, and a saved response, if given. Out: a [`Camera`], and warnings if the response is of
-//! another camera, the frames contradict it, or no curve fits them. Cost: that of sampling the frames and fitting the
-//! curve, some tenths of a second.
+//! In: an aligned bracket, and a saved response, if given. Out: a [`Camera`], and warnings if the saved response is of
+//! another camera, if the frames contradict it, or if no curve fits the frames. Cost: that of sampling the frames and
+//! fitting the curve, some tenths of a second.
 
 use crate::align::AlignMode;
 use crate::bracket::{Bracket, Capture};
@@ -21,7 +21,8 @@ use std::path::Path;
 pub(crate) struct Camera {
     pub curve: ResponseCurve,
     pub report: ResponseReport,
-    /// Evidence of local processing; `None` if it was not evaluated.
+    /// Evidence of local processing (tone mapping in the camera that differs between parts of a frame); `None` if it
+    /// was not evaluated.
     evidence: Option<Evidence>,
 }
 
@@ -90,7 +91,8 @@ fn differing_response(path: &Path, saved: &SavedResponse, capture: &Capture, is_
     (found != kept).then(|| Warning::ResponseDoubtful { path: path.to_owned(), detail })
 }
 
-/// Returns a warning if the photographs contradict the curve in the file `path`, or any curve (`is_local`).
+/// Returns a warning if the photographs contradict the curve in the file `path`. With `is_local`, the warning says
+/// that they contradict any other curve, too.
 fn contradicted_response(
     path: &Path,
     curve: &ResponseCurve,
@@ -123,8 +125,8 @@ fn remedy(is_local: bool) -> &'static str {
     }
 }
 
-/// Returns the evidence of local processing from `places` of `bracket`. `None` if the user gives a curve, and if
-/// frames are not aligned, because then differences between places may be due to the camera's motion.
+/// Returns the evidence of local processing from `places` of `bracket`. `None` if the user chose a linear or sRGB
+/// curve, and if frames are not aligned, because then differences between places may be due to the camera's motion.
 pub(crate) fn processing(bracket: &Bracket, places: &Places, options: &Options) -> Option<Evidence> {
     let may_be_local = options.response.is_recovered() && options.align.mode != AlignMode::None;
     let longer_side = bracket.width().max(bracket.height());

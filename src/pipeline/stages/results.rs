@@ -13,9 +13,11 @@ use crate::tonemap::resize::Resizer;
 use crate::write::{self, Codes, Files, Metadata, Output, Settled, Written};
 use std::time::{Duration, Instant};
 
-/// Number of rows passed to the writers at once: enough bands for all threads, and buffers that stay in the cache.
+/// Number of rows passed to the writers at once: enough to occupy all threads, and few enough for buffers that stay in
+/// the cache.
 const AT_ONCE: usize = 8 * BAND_ROWS;
-/// Number of rows that are resized at once; fewer than [`AT_ONCE`], because their values are floats.
+/// Number of rows that are resized at once; fewer than [`AT_ONCE`], because they are resized as floats, which take
+/// more memory.
 const RESIZED_ROWS: usize = 2 * BAND_ROWS;
 
 /// Callback for the rows of the picture, in 8 bits and in the size of the radiance.
@@ -28,7 +30,7 @@ pub(crate) struct Results<'a> {
     pub metadata: Metadata,
     pub size: (usize, usize),
     pub primaries: Primaries,
-    /// The luminance that 0.1 % of the radiance exceeds.
+    /// The 99.9th percentile of the luminance.
     pub bright: f32,
 }
 

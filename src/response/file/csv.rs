@@ -136,7 +136,7 @@ fn matrices(text: &str) -> Result<Vec<Matrix>, String> {
 /// Largest number of rows: that of a 16-bit curve.
 const MOST_ROWS: usize = 65536;
 
-/// Returns the number after `key`, if the line begins with it.
+/// Returns the number after `key`, if the line begins with `key`.
 fn head(line: &str, key: &str) -> Result<Option<usize>, String> {
     let Some(value) = line.trim().strip_prefix(key) else { return Ok(None) };
     value.trim().parse().map(Some).map_err(|_| format!("{line:?} has no number"))

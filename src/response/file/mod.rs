@@ -31,7 +31,7 @@ pub const SCHEMA: &str = "hdralign-response/1";
 /// The formats of response files, by extension.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
-    /// `.json`: everything, exactly.
+    /// `.json`: all data of the curve and its camera, exactly.
     Json,
     /// `.rsp`: three polynomials, as hdrgen reads and writes them.
     Rsp,
@@ -64,7 +64,7 @@ impl Format {
 pub struct Encoded {
     /// The content of the file.
     pub text: String,
-    /// The curve that is read from it: exact, or as accurate as the format allows.
+    /// The curve that is read from the text: exact, or as accurate as the format allows.
     pub curve: ResponseCurve,
 }
 
@@ -82,8 +82,8 @@ impl Loss {
     /// Returns a warning about the accuracy lost by writing the file `path`, if there is any.
     ///
     /// # Errors
-    /// [`Error::ResponseFormat`] if more than half a stop is lost, which is also the largest contradiction between a
-    /// curve and the frames.
+    /// [`Error::ResponseFormat`] if more than half a stop is lost. This is also the largest residual with which a
+    /// recovered curve is accepted.
     pub fn warning(&self, path: &Path) -> Result<Option<Warning>> {
         let [red, green, blue] = self.channel_stops;
         let off = format!(
@@ -243,7 +243,7 @@ mod tests {
 
     fn saved() -> SavedResponse {
         let srgb = *ResponseCurve::srgb().ln_exposure(0);
-        // Numbers that no short decimal represents.
+        // These numbers have no short decimal form.
         let mean = (1.0 / 3.0 + 1.0 / 7.0) / 3.0;
         let g = [0.0, 1.0 / 3.0, 1.0 / 7.0].map(|d| srgb.map(|v| v * (1.0 + d / 100.0) + d - mean));
         SavedResponse {

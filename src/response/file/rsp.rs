@@ -24,8 +24,8 @@ const MOST_DEGREE: usize = 5;
 /// Codes over which the residual is computed: the weights of a merge are close to 0 outside of them.
 const JUDGED: std::ops::RangeInclusive<usize> = 10..=245;
 
-/// Largest inverse of an exposure (white is 1) that is used as a weight, nine stops; sRGB's code 10 is 8.4 stops below
-/// white.
+/// Upper limit of the weight 1 / exposure, where white has the exposure 1. It is reached nine stops below white; for
+/// comparison, sRGB's code 10 is 8.4 stops below white.
 const BLACKEST: f64 = 512.0;
 
 /// Reads the curve in `text`. The error says why there is no valid curve.
@@ -56,14 +56,14 @@ pub(crate) fn read(text: &str) -> Result<ResponseCurve, String> {
         return Err(format!("{word:?} follows the three polynomials"));
     }
     rising(&mut channels)?;
-    // All three channels have one scale, so that the ratios of hdrgen's channels are kept.
+    // All three channels are divided by one common factor, so that the ratios between hdrgen's channels are kept.
     let ln_mid = channels.iter().map(|x| libm::log(x[MID])).sum::<f64>() / 3.0;
     ResponseCurve::new(channels.map(|x| x.map(|v| libm::log(v) - ln_mid)))
         .ok_or_else(|| "its exposures are too large or too small for a 32-bit float".to_owned())
 }
 
-/// Replaces the exposures of the darkest codes, where hdrgen's polynomials may fall or be negative, by a line through
-/// 0.
+/// Replaces the exposures of the darkest codes, where hdrgen's polynomials may fall or be negative, by a straight line
+/// that is 0 at x = 0.
 fn rising(channels: &mut [[f64; CODES]; 3]) -> Result<(), String> {
     for (x, name) in channels.iter_mut().zip(["red", "green", "blue"]) {
         let sound = |z: usize| x[z] > 0.0 && x[z + 1] > x[z];
@@ -95,15 +95,15 @@ pub(crate) fn write(curve: &ResponseCurve) -> Option<String> {
     Some(text)
 }
 
-/// Returns the increasing polynomial of this degree, highest power first, that is closest to exp(g) in stops,
-/// weighted by the hat, and its distance in stops.
+/// Returns the increasing polynomial of this degree, highest power first, that is closest to exp(g) in stops, weighted
+/// by the hat; and its root mean square distance in stops.
 ///
 /// The result is the closest of all polynomials if that one increases. Otherwise it is the closest sum of cumulative
 /// Bernstein polynomials (see [`bernstein_sums`]) with non-negative weights, which increases everywhere.
 fn fit(g: &[f64; CODES], degree: usize) -> Option<(Vec<f64>, f64)> {
     let columns = bernstein_sums(degree);
-    // d ln x = dx / x: with weights 1 / x the least squares are those of the logarithm; the weight is limited near
-    // black.
+    // Because of d ln x = dx / x, least squares with the weights 1 / x minimise the error of the logarithm. The weight
+    // is limited near black.
     let weight = |z: usize| (hat(z as f64) + 0.02) * libm::exp(-g[z]).min(BLACKEST);
     let matrix = DMatrix::from_fn(CODES, degree + 1, |z, k| weight(z) * evaluate(&columns[k], at(z)));
     let right = DVector::from_fn(CODES, |z, _| weight(z) * libm::exp(g[z]));
@@ -204,8 +204,8 @@ mod tests {
     fn a_polynomial_comes_back_as_it_was() {
         let first = read("3 1.16 -0.32 0.15 0.0021\n3 1.13 -0.29 0.15 0.0024\n4 0.3 0.9 -0.35 0.16 0.0018\n").unwrap();
         let second = read(&write(&first).unwrap()).unwrap();
-        // A polynomial of degree 4 is also one of degree 5: only rounding remains, about 1e-16 times the condition of
-        // the powers (1e8).
+        // A polynomial of degree 4 is also one of degree 5, so that only rounding errors remain: about 1e-16 times the
+        // condition number of the powers (1e8).
         assert!(difference(&first, &second) < 1e-6, "{}", difference(&first, &second));
     }
 
@@ -218,7 +218,7 @@ mod tests {
 
     #[test]
     fn a_curve_that_no_polynomial_suits_is_still_written_as_one_that_rises() {
-        // Film: black for thirty codes, and steep ends.
+        // A film curve: black for thirty codes, and steep at both ends.
         let film = |z: usize| {
             let v = z as f64 / 255.0;
             6.0 * v + 2.5 * v.max(0.8) * v.max(0.8) - 3.0 * (0.12 - v).max(0.0) - 1.5 * libm::exp(-40.0 * v)

@@ -17,9 +17,10 @@ const ROWS: usize = 128;
 /// Largest number of steps of the singular value decomposition; it converges in two or three per unknown.
 const STEPS: usize = 30 * 256;
 
-/// Equations in several unknowns; there may be more than fit into memory.
+/// Equations in several unknowns. There may be more equations than fit into memory.
 pub struct LeastSquares {
-    /// Above, the triangle of [A b] so far; below, rows that are not yet folded, and zeros.
+    /// The upper rows are the triangle of the equations [A b] that are already folded. Below are the rows that are not
+    /// yet folded, and zeros.
     rows: DMatrix<f64>,
     waiting: usize,
 }
@@ -108,7 +109,7 @@ mod tests {
         assert!((condition / whole - 1.0).abs() < 1e-12);
     }
 
-    /// Läuchli's matrix, which has a condition of 3e4; the square of the condition is 1e9.
+    /// The test uses Läuchli's matrix. Its condition number is 3e4, and the square of that number is 1e9.
     #[test]
     fn digits_are_lost_by_the_condition_and_not_by_its_square() {
         let small = 5e-5;
@@ -117,7 +118,8 @@ mod tests {
         [[1.0, 1.0, 0.0], [small, 0.0, small], [0.0, small, -small]].iter().for_each(|row| equations.push(row, 1.0));
         let (x, condition) = equations.solve().unwrap();
         assert!((condition * small / 2f64.sqrt() - 1.0).abs() < 1e-8, "{condition}");
-        // The error is the condition, 3e4, times 2e-16, with a margin; by normal equations the error is 1e-8.
+        // The tolerance is the condition number, 3e4, times the rounding error of 2e-16, with a margin. With normal
+        // equations the error would be 1e-8.
         assert!((x[0] - 1.0).abs() < 1e-11 && (x[1] + 1.0).abs() < 1e-11, "{x:?}");
     }
 

@@ -15,24 +15,25 @@ use crate::error::{Error, Result};
 use crate::statistics::{self, MEDIAN_DEVIATION, median};
 use std::f64::consts::LN_2;
 
-/// Smallest rise of g per code: far below what matters, and enough to invert g.
+/// Smallest rise of g per code: far below the accuracy that matters, and enough to invert g.
 const RISE: f64 = 1e-5;
 /// Smallest number of samples from which the response of a channel is recovered.
 const FEWEST: usize = 24;
-/// Smallest range of the samples' codes.
+/// Smallest range of the samples' codes from which a response is recovered.
 const SPAN: f64 = 96.0;
-/// Smallest range of exposures, first to last, in stops.
+/// Smallest range of exposures, first to last, from which a response is recovered, in stops.
 const STEP: f64 = 0.3;
-/// Largest condition of a least-squares problem; above it, the solution is noise: singular values below 1e-5 of the
-/// largest count as 0. Codes have errors of about 1e-3, which leave singular values of up to about 1e-5 of the largest,
-/// instead of 0, in directions that the codes do not determine. Brackets have about 1e2 to 1e4.
+/// Largest condition number of a least-squares problem. Above it, the solution is noise: singular values below 1e-5 of
+/// the largest count as 0. In directions that the codes do not determine, singular values should be 0. But codes have
+/// errors of about 1e-3, which leave singular values of up to about 1e-5 of the largest. The condition number of a
+/// bracket is about 1e2 to 1e4.
 const CONDITION: f64 = 1e5;
-/// Range of stops from code 16 to code 240 that a camera may have: the sRGB curve has 7.4, a linear one 3.9, a scan
-/// of print film 10.
+/// Range of stops from code 16 to code 240 that a camera may have. For comparison: the sRGB curve has 7.4 stops, a
+/// linear curve 3.9, a scan of print film 10.
 const CONTRAST: (f64, f64) = (1.5, 16.0);
-/// Any range of this many codes between 16 and 240 must span at least this many stops. With the smallest [`CONTRAST`],
-/// spread evenly, such a range spans 0.43. If samples contradict each other, the fitted curve falls, and making it
-/// monotone leaves it flat.
+/// Any range of this many codes between 16 and 240 must span at least this many stops. For comparison: with the
+/// smallest [`CONTRAST`], spread evenly over the codes, such a range spans 0.43 stops. If samples contradict each
+/// other, the fitted curve falls, and making it monotone leaves it flat.
 const FLAT: (usize, f64) = (64, 0.1);
 /// Largest root mean square residual of a valid model, in stops.
 pub(super) const RESIDUAL: f64 = 0.5;
@@ -195,8 +196,8 @@ pub fn biweight(samples: &[Sample], g: &[f64]) -> Vec<f64> {
     tukey(&misfits)
 }
 
-/// Returns Tukey's biweight of each misfit (0 or more), with a reach of 4.685 robust standard deviations: 1 for no
-/// misfit, 0 beyond.
+/// Returns Tukey's biweight of each misfit (0 or more), with a reach of 4.685 robust standard deviations. The biweight
+/// is 1 for a misfit of 0, and 0 beyond the reach.
 pub fn tukey(misfits: &[f64]) -> Vec<f64> {
     let median = median(misfits.iter().copied()).unwrap_or(0.0);
     let reach = 4.685 * median / MEDIAN_DEVIATION + f64::MIN_POSITIVE;
@@ -215,8 +216,8 @@ pub mod scene {
         ((x ^ (x >> 29)) >> 11) as f64 / (1u64 << 53) as f64 - 0.5
     }
 
-    /// Returns `count` places of evenly spread brightness in the given exposures, taken by a camera with the response
-    /// `code` of exposure 0..=1.
+    /// Returns `count` places of evenly spread brightness in the given exposures, taken by a camera whose response is
+    /// the function `code` of the exposure 0..=1.
     pub fn scene(count: usize, exposures: &[f64], code: impl Fn(f64) -> f64) -> Vec<Sample> {
         let place = |i: usize| {
             let ln_e = (9.0 * i as f64 / count as f64 - 7.0) * LN_2;
@@ -235,7 +236,8 @@ pub mod scene {
         difference_from(10, g, exposure)
     }
 
-    /// Returns the difference as [`difference`] does, but over codes `from`..=245, because `g` is not determined below.
+    /// Returns the difference as [`difference`] does, but over codes `from`..=245, because `g` is not determined below
+    /// `from`.
     pub fn difference_from(from: usize, g: &[f64; CODES], exposure: impl Fn(f64) -> f64) -> f64 {
         let d: Vec<f64> = (from..=245).map(|z| stops(g[z] - libm::log(exposure(z as f64 / 255.0)))).collect();
         let mean = d.iter().sum::<f64>() / d.len() as f64;
@@ -261,8 +263,8 @@ mod tests {
         assert!(trust[100] < 0.5, "{}", trust[100]);
         let kept = trust.iter().filter(|&&t| t > 0.5).count();
         assert!(kept > 300, "{kept}");
-        // A noise of 0.43 codes is 2 x 0.43 / z nepers of g = 2 ln z: 0.007 at the middle codes, which have the largest
-        // weights. The curvature of g between codes, 1 / z^2, is smaller.
+        // The residual should be about 0.007: noise of 0.43 codes is 2 x 0.43 / z nepers of g = 2 ln z, and the middle
+        // codes have the largest weights. The curvature of g between codes adds less, 1 / z^2.
         assert!((0.001..0.03).contains(&residual(&samples, &trust, &g)));
     }
 

@@ -1,7 +1,7 @@
 //! The closest monotone curve.
 //!
-//! In: values and weights. Out: values that rise by at least a given step everywhere, with the smallest weighted
-//! squared differences from those given. Cost: one pass. Source: Ayer, Brunk, Ewing, Reid & Silverman 1955, "An
+//! In: values and weights. Out: values that rise by at least a given step everywhere, and have the smallest weighted
+//! squared differences from the input. Cost: one pass. Source: Ayer, Brunk, Ewing, Reid & Silverman 1955, "An
 //! empirical distribution function for sampling with incomplete information": pool adjacent violators.
 
 /// Returns `values` changed as little as possible, in weighted squares, so that each is at least `step` above the

@@ -3,9 +3,9 @@
 //! In: the knots below. Out: a [`Basis`] of 47 cubic B-splines. Cost: 256 x 4 numbers. Source: de Boor 1978, "A
 //! Practical Guide to Splines", chapter X.
 //!
-//! Response curves have the largest curvature near black, so there is a knot at every code there, and at every eighth
-//! in the middle. A curve recovered in this basis differs from one with 256 free values by less than 0.001 stops on
-//! rendered brackets.
+//! Response curves have the largest curvature near black, so there is a knot at every code near black, and at every
+//! eighth code in the middle. A curve recovered in this basis differs from one with 256 free values by less than 0.001
+//! stops on rendered brackets.
 
 use crate::response::CODES;
 
@@ -35,7 +35,7 @@ impl Basis {
             let code = z as f64;
             // The last piece includes its right end.
             let piece = (ORDER - 1..count).rev().find(|&i| knots[i] <= code).unwrap_or(ORDER - 1);
-            // Cox-de Boor recursion: each order from the one below.
+            // Cox-de Boor recursion: the splines of each order are computed from those of the next lower order.
             let mut values = vec![1.0];
             for order in 1..ORDER {
                 let mut next = vec![0.0; order + 1];

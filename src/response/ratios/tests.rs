@@ -12,8 +12,8 @@ fn noise(seed: usize) -> f64 {
     ((x ^ (x >> 29)) >> 11) as f64 / (1u64 << 53) as f64 - 0.5
 }
 
-/// Returns places of evenly spread brightness at `exposures`, recorded as `written`, by a camera with a steeper curve
-/// than sRGB's. In an eighth of the places something moved.
+/// Returns places of evenly spread brightness, photographed at `exposures` by a camera with a steeper curve than
+/// sRGB's. The recorded exposures are `written`. In an eighth of the places something moved.
 fn scene(exposures: &[f64], written: &[f64]) -> [Vec<Sample>; 3] {
     std::array::from_fn(|c| {
         let place = |i: usize| {
@@ -35,7 +35,8 @@ fn found(exposures: &[f64], written: &[f64]) -> Vec<f64> {
     fit(&scene(exposures, written), &times, 0.07).unwrap()
 }
 
-/// Returns `wrong` without its common factor and common power of the exposures `written`.
+/// Returns the part of the errors `wrong` that can be determined from pixels: without their common factor, and without
+/// their common power of the exposures `written`.
 fn knowable(wrong: &[f64], written: &[f64]) -> Vec<f64> {
     let v = DVector::from_row_slice(wrong);
     free_directions(written).iter().fold(DVector::zeros(wrong.len()), |sum, b| sum + b * b.dot(&v)).as_slice().to_vec()
@@ -46,8 +47,8 @@ fn wrong_exposures_are_corrected_as_far_as_determined() {
     let (exact, wrong) = ([-4.0, -2.5, -1.0, 0.5, 2.0], [0.09, -0.12, 0.05, 0.1, -0.07]);
     let written: Vec<f64> = exact.iter().zip(wrong).map(|(e, w)| e + w).collect();
     let (got, wanted) = (found(&exact, &written), knowable(&wrong.map(|w| -w), &written));
-    // The error from noise of half a code over 500 places is far smaller than the tolerance; the prior and motion cause
-    // a hundredth of a stop.
+    // Noise of half a code over 500 places causes an error far below the tolerance. The prior and motion cause an
+    // error of a hundredth of a stop.
     assert!(got.iter().zip(&wanted).all(|(a, b)| (a - b).abs() < 0.012), "{got:?} for {wanted:?}");
     assert!(wanted.iter().any(|w| w.abs() > 0.08));
 }
@@ -121,7 +122,8 @@ fn elimination_gives_the_solution_of_the_whole_system() {
     }
     let x = matrix.cholesky().unwrap().solve(&right);
     let whole = &free * x.rows(3 * SPLINE, free.ncols());
-    // The error is the condition of either system of normal equations, about 1e9, times 2e-16, with a margin.
+    // The tolerance is the condition number of either system of normal equations, about 1e9, times the rounding error
+    // of 2e-16, with a margin.
     assert!((&whole - &d).amax() < 1e-6, "{whole} {d}");
 }
 

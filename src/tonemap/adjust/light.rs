@@ -1,8 +1,9 @@
 //! Adjusts the light of a picture, the last step before it is encoded.
 //!
 //! In: rows of light of the picture's primaries, 0..=1, from an operator or from fusion. Out: rows of code values of
-//! the adjusted picture. Cost: 5 ns a pixel and core. Only luminance is changed; colours keep their hue and, unless
-//! saturation is set, the proportions of their light. Colours outside the gamut are desaturated in OkLab.
+//! the adjusted picture. Cost: 5 ns of core time per pixel. Apart from white balance, only luminance is changed:
+//! colours keep their hue and, unless saturation is set, the proportions of their linear channels. Colours outside the
+//! gamut are desaturated in OkLab.
 
 use super::surroundings::Surroundings;
 use super::{Light, MOST, Options};
@@ -13,9 +14,9 @@ use crate::tonemap::display::codes::{Code, Colours, Encoder};
 use crate::tonemap::display::oklab;
 use crate::tonemap::display::{ToSrgb, luminance};
 
-/// Change of the log odds by shadows and highlights at [`MOST`], in the darkest and the brightest surroundings. In the
-/// dark these are stops. It is small enough that opposite settings never make a dark surface brighter than a bright one
-/// (the remaining slope in the middle tones is 0.31).
+/// Change of the log odds by shadows at their largest value [`MOST`] in the darkest surroundings, and by highlights in
+/// the brightest surroundings. In the dark, the unit of log odds is a stop. The change is small enough that opposite
+/// settings never make a dark surface brighter than a bright one (the remaining slope in the middle tones is 0.31).
 const LOCAL_STOPS: f64 = 2.0;
 
 /// Smallest distance of a luminance from black and from white: 2^-24, the spacing of floats just below 1.
@@ -28,7 +29,7 @@ const BLOCK: usize = 64;
 #[derive(Debug, Clone)]
 pub struct Adjusted {
     to_srgb: ToSrgb,
-    /// `to_srgb` with white balance, for light that was not balanced as radiance.
+    /// `to_srgb` with white balance, for a picture whose white was not balanced in the radiance.
     balanced: Option<ToSrgb>,
     brightness: f32,
     /// Factor on the distance of the log odds from `middle`.
@@ -48,9 +49,9 @@ impl Adjusted {
     /// Prepares `options` for a picture of `colours` that is `width` pixels wide; `None` when its light does not
     /// change.
     ///
-    /// `light` is the light to show as white, unless the radiance was balanced already. `display` holds the luminances,
-    /// 0..=1, of cells of the picture, and the side of a cell in pixels; it is needed when the options [need
-    /// surroundings](Options::needs_surroundings).
+    /// `light` is the light to show as white; it is `None` if the radiance was already balanced. `display` holds the
+    /// luminances, 0..=1, of cells of the picture, and the side of a cell in pixels; it is needed when the options
+    /// [need surroundings](Options::needs_surroundings).
     pub fn new(
         options: &Options,
         colours: Colours,
@@ -178,7 +179,7 @@ mod tests {
         options
     }
 
-    /// Returns greys and tints that a display has, of many luminances.
+    /// Returns greys and tints inside the gamut of the display, at many luminances.
     fn ramp() -> Vec<[f32; 3]> {
         let tint = |i: usize| [[1.0, 1.0, 1.0], [1.0, 0.9, 0.8], [0.7, 0.9, 1.0], [0.9, 1.0, 0.8]][i % 4];
         (0..297).map(|i| tint(i).map(|c: f32| c * libm::exp2f(-12.0 + i as f32 / 297.0 * 11.9))).collect()
@@ -188,8 +189,9 @@ mod tests {
         libm::log2(f64::from(y) / (1.0 - f64::from(y)))
     }
 
-    /// Compared with the formulas of the module documentation in `f64`. The vectorised code has logarithms within 2e-7
-    /// for values below 16 and powers within 3e-7; the conversion through OkLab is exact to 1e-5 of linear light.
+    /// The expected values are computed by the formulas of the module documentation in `f64`. In the vectorised code,
+    /// logarithms have errors of 2e-7 for values below 16, and powers of 3e-7; the conversion through OkLab is exact to
+    /// 1e-5 of linear light.
     #[test]
     fn rows_are_those_of_the_formula() {
         let middle = odds(srgb_to_linear(128.0 / 255.0) as f32);
@@ -239,7 +241,7 @@ mod tests {
         }
     }
 
-    /// Brighter uniform surfaces stay brighter at the extremes of all options.
+    /// Of two uniform surfaces, the brighter one stays brighter at the extremes of all options.
     #[test]
     fn even_surfaces_keep_their_order_at_the_extremes() {
         for bits in 0..32 {

@@ -1,10 +1,11 @@
 //! Estimates the light of a scene from the picture, for white balance.
 //!
 //! In: the overview of a scene, or the pixels around a spot that is known to be grey. Out: the [`Light`] in which the
-//! mean of the scene, or the spot, is grey. Cost: 20 ns a cell; one pass for a spot. Source: Buchsbaum, "A spatial
-//! processor model for object colour perception" (1980): scenes are grey on average, here after the tone curve of
-//! Reinhard et al. 2002, equation 3. The higher exponents of Finlayson, Trezzi, "Shades of Gray and Colour Constancy"
-//! (2004), were tried: with them a window or a screen in the picture determines the result instead of the room.
+//! mean of the scene, or the spot, is grey. Cost: 20 ns per cell; for a spot, one pass over the picture. Source:
+//! Buchsbaum, "A spatial processor model for object colour perception" (1980): scenes are assumed to be grey on
+//! average. Here the average is taken after the tone curve of Reinhard et al. 2002, equation 3. The higher exponents of
+//! Finlayson, Trezzi, "Shades of Gray and Colour Constancy" (2004), were tried and rejected: with them a window or a
+//! screen in the picture determines the result, instead of the room.
 
 use super::white::{self, Light, OPTION};
 use crate::bracket::colour::Primaries;
@@ -16,12 +17,13 @@ use crate::tonemap::overview::Scene;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Percentiles of luminance between which cells are used. Cells below are too dark to have a reliable colour; cells
-/// above are lamps, windows and clipped parts.
+/// Percentiles of luminance: only cells between these two are used. Cells below are too dark to have a reliable colour;
+/// cells above are lamps, windows and clipped parts.
 const ENDS: (f64, f64) = (0.05, 0.95);
-/// White moves by this fraction of the way from the white of the photographs to the mean colour, in reciprocal
-/// temperature and in tint. Cameras have balanced already, and no scene is exactly grey on average. Chosen by eye on
-/// four photographed brackets, in which lamp light stays warm.
+/// White moves by this fraction of the way from the white of the photographs to the mean colour, both in reciprocal
+/// temperature and in tint. It does not move the whole way, because the camera has already balanced white and no scene
+/// is exactly grey on average. The value was chosen by eye on four photographed brackets, so that lamp light stays
+/// warm.
 const SHARE: f64 = 0.6;
 
 /// Returns the light to show as white in `scene`; `None` when the mean is not the colour of a light.
@@ -34,7 +36,7 @@ pub fn auto(scene: &Scene) -> Option<Light> {
         if (dark..=bright).contains(&log) {
             let [red, blue] = [red, blue].map(f64::from);
             let green = ((1.0 - r * red - b * blue) / g).max(0.0);
-            // Compressed as on a display; with plain radiance a window would dominate.
+            // Values are compressed as on a display, because in a mean of radiance a window would dominate.
             let shown = 1.0 / (1.0 + libm::exp2(f64::from(middle - log)));
             sums.iter_mut().zip([red, green, blue]).for_each(|(sum, ratio)| *sum += shown * ratio);
         }
@@ -97,7 +99,8 @@ impl Spot {
         for y in rows {
             self.seen.extend_from_slice(&pixels.row(y - first)[self.columns.clone()]);
         }
-        // Row by row, so that the sums do not depend on the threads.
+        // Each row is summed on its own and the sums are added in order, so that the result does not depend on the
+        // number of threads.
         let of_rows: Vec<_> = (0..pixels.height()).into_par_iter().map(|y| measured(pixels.row(y))).collect();
         for (most, sums) in of_rows {
             for c in 0..3 {
@@ -121,7 +124,7 @@ impl Spot {
         if count(&|pixel| !pixel.iter().all(|&v| v > black && v.is_finite())) > half {
             return Err(refused("is black, and has no colour"));
         }
-        // A spot that is clipped in all photographs is as bright as anything in the picture.
+        // A spot that is clipped in all photographs has the largest radiance of the picture.
         let ends: [f32; 3] = std::array::from_fn(|c| {
             let mean = self.sums[c] / self.pixels.max(1) as f64;
             let is_far = f64::from(self.most[c]) > FAR * mean;
@@ -142,11 +145,12 @@ impl Spot {
 
 /// Values above this share of the largest value are treated as equal to the largest, to allow for rounding.
 const PLATEAU: f32 = 0.999;
-/// The largest value counts as clipped, and not as the surface of an even picture, when it exceeds the mean by this
-/// factor.
+/// The largest value counts as clipped if it is greater than this factor times the mean. Otherwise the picture is
+/// nearly uniform, and its largest value is an ordinary surface.
 const FAR: f64 = 1.5;
 
-/// Radiance at or below which a value counts as black; a radiance map has no zeros.
+/// Radiance at or below which a value counts as black. It is not 0, because a radiance map has no values below
+/// [`FLOOR`].
 pub const BLACK_RADIANCE: f32 = 10.0 * FLOOR;
 
 /// Returns the largest value and the sum of each channel of a row.
@@ -182,7 +186,8 @@ mod tests {
         [rgb.x as f32, rgb.y as f32, rgb.z as f32]
     }
 
-    /// Returns surfaces of many colours and all luminances in one light; the corner is black, and a lamp clips.
+    /// Returns surfaces of many colours and luminances in one light. One corner is black, and a lamp clips in the
+    /// opposite corner.
     fn scene(light: Light) -> Plane<[f32; 3]> {
         let lit = rgb(light.xy());
         Plane::from_rows(SIZE.0, SIZE.1, |y, row| {
@@ -213,7 +218,7 @@ mod tests {
         let mut picture = scene(LAMP);
         let card = rgb(LAMP.xy());
         for y in 195..206 {
-            // Noise, which is averaged.
+            // The spot has noise, which must be averaged.
             picture.row_mut(y)[295..306].iter_mut().enumerate().for_each(|(x, p)| {
                 *p = card.map(|c| 0.2 * c * if (x + y).is_multiple_of(2) { 1.1 } else { 0.9 });
             });
@@ -258,8 +263,8 @@ mod tests {
         assert!((found.kelvin - LAMP.kelvin).abs() < 5.0, "{found}");
     }
 
-    /// The light of a scene that is grey on average is found, and white moves by `SHARE` towards it. A window, 30 times
-    /// as bright, does not dominate.
+    /// The scene is grey on average, so the mean colour is that of its light, and white moves by `SHARE` of the way
+    /// towards it. A lamp that is much brighter than the surfaces does not dominate.
     #[test]
     fn auto_moves_white_partly_to_the_mean_colour() {
         let auto = |light: Light| {
@@ -268,7 +273,7 @@ mod tests {
             auto(&overview.scene().unwrap()).unwrap()
         };
         let mired = |light: Light| 1e6 / light.kelvin - 1e6 / 6504.0;
-        // The surfaces are grey on average, except for a few mireds and tints.
+        // In daylight, the mean of the surfaces differs from grey by a few mireds and tints.
         let plain = auto(white::D65);
         assert!(mired(plain).abs() < 6.0 && plain.tint.abs() < 12.0, "{plain}");
         for light in [LAMP, Light { kelvin: 11_000.0, tint: -15.0 }] {

@@ -1,19 +1,21 @@
 //! Surroundings: the brightness around each pixel, smoothed except at edges.
 //!
-//! In: luminance on the display by cells. Out: the log odds of the surroundings of each pixel. Cost: 60 ns a cell, of
-//! which there are at most [`CELLS`]; two linear interpolations a pixel. Source: He, Sun, "Fast Guided Filter" (2015):
-//! a guided filter of the picture by itself, computed small and carried to the pixels by linear functions (`guide`).
+//! In: the display luminances Y of cells. Out: for each pixel, the log odds log2(Y / (1 - Y)) of its surroundings.
+//! Cost: 60 ns per cell of a grid of at most [`CELLS`] cells; two linear interpolations per pixel. Source: He, Sun,
+//! "Fast Guided Filter" (2015): a guided filter whose guide is the filtered picture itself, computed on cells and
+//! carried to the pixels by linear functions (`guide`).
 
 use super::super::guide::{Columns, Guide, interpolated};
 use crate::plane::Plane;
 use crate::simd::log2;
 
-/// Largest number of cells. The surroundings of a pixel are five by five cells, about a thirtieth of the width of a
-/// picture.
+/// Largest number of cells. The surroundings of a pixel are five by five cells; five cells are about a thirtieth of the
+/// width of a picture.
 pub const CELLS: usize = 1 << 14;
 
-/// Variance of log odds, in square stops, at which half of a deviation is smoothed away: deviations of half a stop are
-/// detail of a surface, and a step of three stops is an edge, of which 0.9 is kept.
+/// Variance of the log odds around a cell, in square stops, at which half of a deviation from their mean is smoothed
+/// away. So deviations of half a stop count as detail of a surface, and a step of three stops counts as an edge, of
+/// which 90 % is kept.
 const DETAIL: f32 = 0.25;
 
 /// Log odds are clamped to -ENDS..=ENDS: beyond this range, surroundings are completely dark or bright.

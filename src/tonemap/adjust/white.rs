@@ -30,7 +30,7 @@ pub struct Light {
     /// Correlated colour temperature in kelvins.
     pub kelvin: f64,
     /// How much greener the light is than daylight or a black body of that temperature: 3000 times the distance in CIE
-    /// 1960 uv. The picture becomes more magenta by as much.
+    /// 1960 uv. White balance makes the picture more magenta by the same amount.
     pub tint: f64,
 }
 
@@ -39,7 +39,7 @@ pub const KELVINS: (f64, f64) = (2000.0, 25000.0);
 /// Range of tints, as in raw converters: a distance of 0.05 in uv, beyond which the correlated colour temperature is
 /// not meaningful.
 pub const TINTS: (f64, f64) = (-150.0, 150.0);
-/// Tints per unit of uv, as in the DNG SDK and the raw converters built on it.
+/// Number of tint units per unit of uv, as in the DNG SDK and the raw converters built on it.
 const TINTS_PER_UV: f64 = 3000.0;
 /// The white point of displays.
 pub(super) const D65: Light = Light { kelvin: 6504.0, tint: 0.0 };
@@ -65,18 +65,18 @@ impl Light {
     /// Returns the CIE 1960 uv chromaticity.
     fn uv(self) -> [f64; 2] {
         let ([u, v], [du, dv]) = (locus(self.kelvin), green(self.kelvin));
-        // The daylight formula at 6504 K differs from the standard's white by 1e-5, which is corrected at all
+        // At 6504 K the daylight formula differs from sRGB's white by 1e-5. The same correction is added at all
         // temperatures.
         let ([u65, v65], at65) = (uv(D65_XY), locus(D65.kelvin));
         let by = self.tint / TINTS_PER_UV;
         [u + by * du + (u65 - at65[0]), v + by * dv + (v65 - at65[1])]
     }
 
-    /// Returns the light with this xy chromaticity, by the nearest temperature; `None` when it is too far from the
-    /// locus.
+    /// Returns the light with this xy chromaticity. Its temperature is that of the nearest point of the locus (of
+    /// daylight and black bodies). `None` when the chromaticity is too far from the locus.
     pub fn of_xy(chromaticity: [f64; 2]) -> Option<Light> {
         let [u, v] = uv(chromaticity);
-        // Equal steps of reciprocal temperature look alike.
+        // The search is in mireds (1e6 / K), because equal steps of reciprocal temperature look alike.
         let ends = (1e6 / KELVINS.1, 1e6 / KELVINS.0);
         let away = |mired: f64| {
             let at = Light { kelvin: 1e6 / mired, tint: 0.0 }.uv();
@@ -125,7 +125,8 @@ pub(super) const OPTION: &str = "--white-balance";
 /// The accepted forms of the option, for messages.
 const FORMS: &str = "give `auto`, `as-shot`, a temperature as in `5500` or `5500K`, with a tint as in `5500,10`, or a grey spot of the picture as in `1200,800` \
                      (`spot:2100,90` if the numbers could also be a temperature and a tint)";
-/// Largest deviation from the perpendicular to the locus, in tints; larger ones occur beyond the ends of the range.
+/// Largest accepted distance of a colour from the perpendicular to the locus at its temperature, in units of the tint.
+/// Larger distances occur beyond the ends of the range of temperatures.
 const BESIDE: f64 = 1.0;
 
 /// Returns the CIE 1960 uv of daylight and black bodies of temperature `t`, in kelvins.
@@ -156,7 +157,7 @@ fn daylight(t: f64) -> [f64; 2] {
 
 /// Returns the unit vector perpendicular to the locus at `t`, towards green.
 fn green(t: f64) -> [f64; 2] {
-    // Central difference of a millionth of the temperature.
+    // The direction of the locus is a central difference, over a millionth of the temperature to each side.
     let (a, b) = (locus(t * (1.0 - 1e-6)), locus(t * (1.0 + 1e-6)));
     let (du, dv) = (b[0] - a[0], b[1] - a[1]);
     let length = libm::hypot(du, dv);
@@ -266,7 +267,8 @@ mod tests {
             }
             let near = Light { kelvin, tint: 20.0 };
             let found = Light::of_xy(near.xy()).unwrap();
-            // The locus has corners where the mixing begins and ends, with more than one perpendicular.
+            // The locus has corners where the mixture of black body and daylight begins and ends. At a corner there is
+            // more than one perpendicular.
             assert!((found.kelvin / kelvin - 1.0).abs() < 6e-3 && (found.tint - 20.0).abs() < 0.2, "{near} {found}");
         }
         // sRGB's red, green and blue have no temperature.

@@ -1,10 +1,10 @@
 //! Encoding of linear light as code values.
 //!
-//! In: linear RGB, 0 to 1 of display white. Out: code values of 8 or 16 bits, rounded to nearest, by the transfer
-//! function of the picture's [`Colours`]; or the light itself when it is still to be resized. Cost: 2 ns a value; the
-//! tables are made once, 50 kB for each transfer function. Source: IEC 61966-2-1:1999 (sRGB), section 4.3; SMPTE EG
-//! 432-1 and Apple's Display P3, which has sRGB's transfer function; Adobe RGB (1998) Color Image Encoding, section
-//! 4.3.4.
+//! In: linear RGB; 1 is display white. Out: code values of 8 or 16 bits, rounded to nearest, by the transfer function
+//! of the picture's [`Colours`]; or the linear light itself if the picture is still to be resized. Cost: 2 ns per
+//! value. The tables are computed once for each transfer function and have 70 kB. Source: IEC 61966-2-1:1999 (sRGB),
+//! section 4.3; SMPTE EG 432-1 and Apple's Display P3, which has sRGB's transfer function; Adobe RGB (1998) Color Image
+//! Encoding, section 4.3.4.
 
 use crate::bracket::colour::{Conversion, Curve, Primaries, Profile, linear_to_srgb, srgb_to_linear};
 use crate::simd::{Loops, at_most, floor32, integer32, vectorised};
@@ -89,10 +89,12 @@ impl Depth {
     }
 }
 
-/// Number of low bits of a float that do not select a cell of the tables. There are 256 cells per octave. Each is
-/// narrower than an 8-bit code value, and over each, 16-bit code values are linear to 0.03.
+/// Number of low bits of a float that do not select a cell of the tables, which leaves 256 cells per octave of light. A
+/// cell is narrower than an 8-bit code value. Within a cell, 16-bit code values differ from a straight line by at most
+/// 0.03.
 const CELL_BITS: u32 = 15;
-/// Number of octaves below 1 that have cells: darker light is code value 0 even for a gamma of 2.2 and 16 bits.
+/// Number of octaves of light below 1 that have cells. Darker light gets code value 0, even with 16 bits and a gamma of
+/// 2.2.
 const OCTAVES: u32 = 40;
 /// The smallest light that has a cell of its own.
 const LEAST: f32 = f32::from_bits((127 - OCTAVES) << 23);
@@ -108,10 +110,10 @@ struct Tables {
     base: Vec<u8>,
     /// For each 8-bit code value, the linear light at which the next code value begins.
     next: [f32; 256],
-    /// The unrounded 16-bit code value at the lower edge of every cell, and at the upper edge of the last.
+    /// The unrounded 16-bit code value at the lower edge of every cell, and at the upper edge of the last cell.
     fine: Vec<f32>,
-    /// The range of code values, 0..=1, is split into pieces: linear light at the lower end of each piece, and at the
-    /// upper end of the last.
+    /// Linear light at the lower end of each of the [`PIECES`] pieces into which the range of code values, 0..=1, is
+    /// split, and at the upper end of the last piece.
     light: Vec<f32>,
 }
 
@@ -120,8 +122,8 @@ impl Tables {
         let mut next = [f32::INFINITY; 256];
         for (code, begin) in next.iter_mut().enumerate().take(255) {
             let exact = colours.light((code as f64 + 0.5) / 255.0);
-            // The first float that is not below `exact`, so that comparing floats gives the same as comparing exact
-            // numbers.
+            // The first float that is not below `exact`, so that comparing floats gives the same result as comparing
+            // exact numbers.
             let nearest = exact as f32;
             *begin = if f64::from(nearest) < exact { nearest.next_up() } else { nearest };
         }
@@ -141,7 +143,7 @@ static ADOBE_RGB: LazyLock<Tables> = LazyLock::new(|| Tables::of(Colours::AdobeR
 #[derive(Clone, Copy)]
 pub struct Encoder {
     tables: &'static Tables,
-    /// Conversion from linear sRGB to the gamut of the output; `None` if the output is sRGB.
+    /// Conversion from linear sRGB to the primaries of the output; `None` if the output is sRGB.
     gamut: Option<Conversion>,
 }
 
@@ -155,7 +157,7 @@ impl Encoder {
         Encoder { tables: if colours == Colours::AdobeRgb { &ADOBE_RGB } else { &SRGB }, gamut }
     }
 
-    /// Converts linear sRGB, also outside its gamut, to linear light of the picture's primaries.
+    /// Converts linear sRGB, which may be outside the sRGB gamut, to linear RGB of the picture's primaries.
     #[inline(always)]
     pub fn from_srgb(&self, rgb: [f32; 3]) -> [f32; 3] {
         match &self.gamut {
@@ -187,7 +189,7 @@ impl Default for Encoder {
     }
 }
 
-/// Encodes `light` to `codes`, which is resized.
+/// Encodes `light` to `codes`, which is resized to the same length.
 pub fn encoded<C: Code>(encoder: &Encoder, light: &[[f32; 3]], codes: &mut Vec<[C; 3]>) {
     const AT_ONCE: usize = 1 << 12;
     codes.resize(light.len(), [C::default(); 3]);
@@ -298,9 +300,9 @@ mod tests {
         C::of_light(encoder, &[light; 3])[1]
     }
 
-    /// Tolerances: the standard's two branches differ by 3e-8 at the knee, and a float nearer than 1e-6 of a code value
-    /// to a boundary may fall to either side. 16-bit code values are off by 0.03 from interpolation over 1/256 octave,
-    /// and by 0.01 from the rounding of `f32`.
+    /// The tolerances have these reasons. The two branches of sRGB differ by 3e-8 where they meet. A float that is
+    /// within 1e-6 of a code value of a rounding boundary may be rounded up or down. 16-bit code values have an error
+    /// of 0.03 because of the interpolation over 1/256 octave, and of 0.01 because of the rounding of `f32`.
     #[test]
     fn codes_are_those_of_the_standards() {
         for colours in ALL {

@@ -24,7 +24,8 @@ pub fn luminance([r, g, b]: [f32; 3]) -> f32 {
 pub struct ToSrgb(Option<Conversion>);
 
 impl ToSrgb {
-    /// Converts from `primaries`; the identity when these are sRGB's within 0.001, or degenerate.
+    /// Converts from `primaries`. The conversion is the identity when `primaries` are sRGB's within 0.001, or
+    /// degenerate.
     pub fn from(primaries: &Primaries) -> Self {
         if primaries.is_close(&Primaries::SRGB, 1e-3) {
             return ToSrgb(None);
@@ -62,7 +63,8 @@ pub fn into_gamut(rgb: [f32; 3], y: f32) -> [f32; 3] {
     let above = r.max(g).max(b) - y;
     let below = y - r.min(g).min(b);
     let room = 1.0 - y;
-    // Fractions of the way to the bright and the dark edge; results of a division by 0 are not used.
+    // Fractions of the way from grey to the bright edge, and from grey to the dark edge, of the gamut. Results of a
+    // division by 0 are not used.
     let (bright, dark) = (above / room, below / y.max(f32::MIN_POSITIVE));
     let u = (bright - KNEE) / (1.0 - KNEE);
     let slowed = (KNEE + (1.0 - KNEE) * (u / (1.0 + u))) * room / above;
@@ -98,8 +100,8 @@ mod tests {
         assert_eq!(ToSrgb::from(&none), ToSrgb(None));
     }
 
-    /// Luminance is kept to rounding, the proportions of the differences from grey (hue) are kept, and the result is
-    /// within 0..=1.
+    /// Luminance is kept up to rounding, and the result is within 0..=1. Hue is kept: the differences of the channels
+    /// from grey keep their proportions.
     #[test]
     fn the_gamut_is_entered_at_the_same_hue_and_luminance() {
         for rgb in [[3.0, 0.2, 0.1], [0.0, 0.0, 8.0], [0.9, 0.95, 1.3], [0.5, -0.1, 0.2], [0.2, 0.3, 0.1]] {

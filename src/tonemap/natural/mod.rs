@@ -1,19 +1,20 @@
 //! hdralign's own operator: exposure fusion of exposures computed from the radiance.
 //!
-//! In: a scene. Out: its tones. Cost: about 2 us a cell, of which there are at most [`CELLS`], for ten exposures; three
-//! interpolations a pixel. Source: [exposure fusion](super::fusion) (Mertens et al. 2007) applied to computed
-//! exposures. Their number follows from the scene's highlights and the bracket's longest exposure; they are at most two
-//! stops apart (for up to 30 stops) and free of moving objects. Radiance maps from other programs are handled the same
-//! way.
+//! In: a scene. Out: its tones. Cost: for ten exposures, about 2 us per cell of a grid of at most [`CELLS`] cells;
+//! three interpolations per pixel. Source: [exposure fusion](super::fusion) (Mertens et al. 2007) applied to computed
+//! exposures. The number of computed exposures follows from the scene's highlights and the bracket's longest exposure.
+//! Neighbouring exposures are at most two stops apart (for ranges up to 30 stops), and all of them show the same scene,
+//! without moving objects. Radiance maps from other programs are handled the same way.
 //!
-//! 1. The scene, on a grid, is exposed: from the exposure that shows its highlights to the longest of the bracket. The
-//!    longest exposure that the photographer chose shows how bright the place is, so that night scenes stay dark.
+//! 1. Exposures of the scene are computed on a grid, from the one that shows the highlights to the longest of the
+//!    bracket. The longest exposure, which the photographer chose, shows how bright the scene was. So night scenes stay
+//!    dark.
 //! 2. The exposures are fused; black and white are set near the darkest and brightest values of the fused picture.
-//! 3. A contrast curve is applied. A power function darkens the picture where the longest exposure is dark, and brings
-//!    radiance without photographs to the brightness of a photograph.
-//! 4. Linear functions carry luminance from the grid to the pixels (`guide`). Colours are those of a photograph that
-//!    shows the place at that luminance. When nothing is known of the photographs, the hue is that of the scene and
-//!    chroma is never increased.
+//! 3. A contrast curve is applied. A power function darkens the picture if the longest exposure is dark. If the
+//!    photographs are not known, it gives the picture the brightness of a typical photograph.
+//! 4. Linear functions carry luminance from the grid to the pixels (`guide`). A pixel gets the colour that a photograph
+//!    gives to it at that luminance. If the photographs are not known, the hue is nearly that of the scene and chroma
+//!    is never increased.
 //!
 //! The constants below were chosen by eye and in blind comparisons on sixteen photographed brackets.
 
@@ -34,14 +35,14 @@ use photograph::Photograph;
 /// Settings of the operator.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Options {
-    /// Mean code value of the picture, 0 to 1; the result is darker when the photographs were. `None`: that of the
-    /// fused photographs, or 0.48 for radiance without known photographs.
+    /// Mean code value of the picture, 0 to 1; it is lower if the longest photograph is dark. `None`: the mean code
+    /// value of the fused photographs, or 0.48 if the photographs are not known.
     pub brightness: Option<f64>,
-    /// Strength of the contrast curve: 0 is none, 1 raises contrast by half in the middle tones.
+    /// Strength of the contrast curve: 0 adds no contrast, 1 raises the contrast of the middle tones by half.
     pub contrast: f64,
-    /// Factor on fine contrast: 1 is that of the scene.
+    /// Factor on fine contrast: 1 keeps the contrast of the scene.
     pub detail: f64,
-    /// Factor on the chroma of photographs: 1 is as colourful as they are, 0 is grey.
+    /// Factor on the chroma of the photographs: 1 is as colourful as the photographs, 0 is grey.
     pub saturation: f64,
 }
 
@@ -52,7 +53,7 @@ impl Default for Options {
 }
 
 impl Options {
-    /// The settings by name.
+    /// Returns the settings, each with its name, range and description.
     pub fn settings(&mut self) -> Vec<Setting<'_>> {
         vec![
             Setting::estimated(
@@ -76,38 +77,41 @@ impl Options {
 /// Largest number of cells of the grid.
 pub const CELLS: usize = 1 << 17;
 
-/// Code value (0 to 1) of the highlights in the shortest exposure, and the share of pixels below the highlights.
+/// Code value (0 to 1) of the highlights in the shortest exposure, and the share of the pixels that are darker than the
+/// highlights.
 const LIGHTS: (f64, f64) = (0.9, 0.999);
-/// Code value (0 to 1) of the shadows in the longest exposure when no photographs are known, and the share of pixels
-/// below the shadows.
+/// Code value (0 to 1) of the shadows in the longest exposure if the photographs are not known, and the share of the
+/// pixels that are darker than the shadows.
 const SHADOWS: (f64, f64) = (0.4, 0.01);
-/// Contrast and stops to white that are assumed when no photographs are known: typical of cameras.
+/// Contrast, and stops from the middle code value to white, that are assumed if the photographs are not known. They are
+/// typical of cameras.
 const CAMERA: (f64, f64) = (1.4, 2.6);
-/// Largest distance of two exposures, in stops.
+/// Largest distance between neighbouring exposures, in stops.
 const STEP: f64 = 2.0;
 /// Largest number of exposures.
 const MOST_EXPOSURES: usize = 16;
 
-/// Shares of the cells of the fused picture that become black, and white.
+/// Share of the fused picture's cells that are darker than its dark end, and share of its cells that are brighter than
+/// its bright end.
 const ENDS: (f64, f64) = (0.005, 0.003);
-/// Code value of black as a share of that of the dark end of the fused picture, and the code value (0 to 1) to which
-/// that of the dark end is limited.
+/// The first number is a factor: the code value of the dark end of the fused picture, times this factor, becomes black.
+/// Before that, the code value of the dark end (0 to 1) is limited to the second number.
 const BLACK: (f32, f32) = (0.5, 0.15);
-/// Smallest code value (0 to 1) of white.
+/// Smallest code value (0 to 1) of the fused picture that can become white.
 const WHITE: f32 = 0.8;
-/// Code value (0 to 1) above which the brightest values are compressed softly; fusion can exceed white, and darkening
-/// everything would cost contrast.
+/// Code value (0 to 1) above which values are compressed softly. Fused values can exceed white, and darkening the whole
+/// picture instead would reduce contrast.
 const KNEE: f32 = 0.8;
 
-/// Largest mean code value of the picture, as a share of that of the longest exposure.
+/// Largest mean code value of the picture, divided by the mean code value of the longest exposure.
 const OF_LONGEST: f64 = 0.8;
-/// Mean code value (0 to 1) when no photographs are known; the median of sixteen fused brackets is 0.46.
+/// Mean code value (0 to 1) if the photographs are not known. It is near the median of sixteen fused brackets, 0.46.
 const BRIGHTNESS: f64 = 0.48;
 /// Smallest and largest exponent used to reach the brightness.
 const POWERS: (f64, f64) = (0.6, 1.4);
 
-/// Added to luminances (relative to display white) before the logarithm: code value 6. Darker values get little weight
-/// in the fit, and their colour cannot be distinguished from noise.
+/// Luminance (relative to display white) that is added before the logarithm. It corresponds to code value 6.6 of 255.
+/// Darker values have little effect on the fit of the guide, and their colour cannot be distinguished from noise.
 const DARKEST: f32 = 0.002;
 
 /// Returns the tones of `scene`.
@@ -119,7 +123,7 @@ pub fn natural(scene: &Scene, options: &Options) -> Tones {
     let fused = fused(&grid, &exposures, &photograph);
     let longest = OF_LONGEST * mean_code(&grid, &photograph, exposures[exposures.len() - 1]);
     let (brightness, powers) = match (options.brightness, scene.photographed) {
-        // Fused photographs already have the brightness of photographs.
+        // Fused photographs already have the brightness of photographs, so they are only darkened.
         (None, Some(_)) => (longest, (1.0, POWERS.1)),
         (asked, _) => (longest.min(asked.unwrap_or(BRIGHTNESS)), POWERS),
     };
@@ -156,9 +160,9 @@ fn scaled(colour: [f32; 3], by: f32) -> [f32; 3] {
 /// Returns the factor on the chroma of `colour` (of luminance 1) and the rotation of its hue in radians, when shown at
 /// the luminance `display`.
 ///
-/// Both are those of a photograph that shows the colour at that luminance, in which lamp light is golden, not pink.
-/// When the curve of the photographs is not known, the hue rotates little and only where nearly white colours get
-/// paler, and chroma is never increased.
+/// The resulting colour is the one that a photograph shows at that luminance: lamp light, for example, is golden and
+/// not pink. If the tone curve of the photographs is not known, chroma is never increased, and the hue rotates little
+/// and only for colours whose chroma decreases.
 fn as_photographed(photograph: &Photograph, is_known: bool, colour: [f32; 3], display: f32) -> [f32; 2] {
     let lab = |rgb| {
         let [_, a, b] = oklab::from_linear(rgb);
@@ -178,14 +182,14 @@ fn as_photographed(photograph: &Photograph, is_known: bool, colour: [f32; 3], di
     [share.min(1.0), turn.clamp(-MOST_TURN.0, MOST_TURN.0) * paler]
 }
 
-/// Largest rotation of hue in radians: 9 degrees, or 25 when the photographs are known.
+/// Largest rotation of hue, in radians: 9 degrees if the photographs are not known, 25 degrees if they are.
 const MOST_TURN: (f32, f32) = (0.157, 0.436);
 
 /// Chroma at or below which a colour counts as grey.
 const GREY: f32 = 1e-3;
 
-/// Returns the exposures to compute, rising: each is log2 of a factor on luminance. A luminance that becomes 1 by this
-/// factor has the middle code value.
+/// Returns the exposures to compute, in ascending order. Each is the log2 of a factor on luminance: a luminance that
+/// this factor scales to 1 gets the middle code value.
 fn exposures(scene: &Scene, photograph: &Photograph) -> Vec<f64> {
     let shows = |(code, part): (f64, f64)| photograph.stop(code) - scene.percentile(part);
     let (lights, shadows) = (shows(LIGHTS), shows(SHADOWS));
@@ -240,8 +244,8 @@ struct Levels {
 }
 
 impl Levels {
-    /// Sets the levels such that the mean code value of the luminance of `fused` is `brightness`, or as near as
-    /// `powers` allow.
+    /// Sets the levels such that the mean code value of the luminance of `fused` is `brightness`, or as near to it as
+    /// exponents from `low` to `high` allow.
     fn new(fused: &Channels, brightness: f64, (mut low, mut high): (f64, f64), contrast: f64) -> Self {
         let [r, g, b] = fused.each_ref().map(|plane| plane.as_slice());
         let mut greys: Vec<f32> = r.iter().zip(g).zip(b).map(|((r, g), b)| (r + g + b) / 3.0).collect();
@@ -277,7 +281,7 @@ impl Levels {
     /// Returns the code value of a luminance of the levelled picture, after power and contrast curve.
     fn code(&self, linear: f64) -> f64 {
         let code = libm::pow(linear_to_srgb(linear), self.power);
-        // Interpolates towards the smooth step, whose slope is 1.5 in the middle.
+        // The contrast curve mixes the code value with its smooth step function, whose slope is 1.5 in the middle.
         code + self.contrast * (code * code * (3.0 - 2.0 * code) - code)
     }
 

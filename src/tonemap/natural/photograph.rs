@@ -1,19 +1,21 @@
 //! The tone curve of a camera: contrasty shadows, and decreasing contrast towards white.
 //!
-//! In: the contrast of a camera's pictures, and the stops of light from the middle code value to white. Out: the code
-//! value of a light, the light of a code value, and the colour in which a photograph shows a light. Cost: tables of 640
-//! entries; one interpolation for each light, 40 for each colour. Source: the parameters are those of the response
-//! ([`Photographed`](crate::merge::Photographed)); the shape was fitted to fourteen photographed responses, whose
-//! slopes between codes 32 and 224 it matches to within 6 % (root mean square).
+//! In: the contrast of a camera's pictures, and the number of stops from the middle code value to white. Out: the code
+//! value of a scene luminance, the scene luminance of a code value, and the colour in which a photograph shows a colour
+//! of the scene. Cost: tables of 640 entries; one interpolation for each luminance, 40 for each colour. Source: the
+//! parameters are those of the response ([`Photographed`](crate::merge::Photographed)); the shape was fitted to
+//! fourteen responses recovered from photographs. It matches their slopes between code values 32 and 224 to within 6 %
+//! (root mean square).
 //!
-//! With d the luminance on the display and s the light, both as logarithms to base 2, the slope at the code value z is
+//! Let d be the luminance on the display and s that of the scene, both as logarithms to base 2. The slope at the code
+//! value z is
 //!
 //! ```text
 //! dd / ds = c (1 - k t(z)),    t = 0 up to code 64, rising linearly with the code to 1 at 255
 //! ```
 //!
 //! where c and k follow from the contrast (the mean slope between codes 24 and 128) and from the stops from code 128 to
-//! white. A display's own curve has c = 1 and k = 0.
+//! white. With c = 1 and k = 0 the display shows luminances in proportion to those of the scene.
 
 use crate::bracket::colour::{linear_to_srgb, srgb_to_linear};
 use crate::simd::log2;
@@ -21,33 +23,35 @@ use crate::tonemap::display::luminance;
 
 /// The tone curve of a camera.
 pub(crate) struct Photograph {
-    /// Code value, 0..=1, of each light; the lights are [`PER_STOP`](Self::PER_STOP) per stop over
-    /// [`STOPS`](Self::STOPS).
+    /// Code values, 0..=1, of scene luminances over the range [`STOPS`](Self::STOPS), with [`PER_STOP`](Self::PER_STOP)
+    /// entries per stop.
     codes: Vec<f32>,
-    /// Display luminance, relative to white, of each of these lights.
+    /// Display luminance, relative to white, of each entry of `codes`.
     shown: Vec<f32>,
-    /// The light, in stops, of each of [`STEPS`] equally spaced code values, the last of which is white.
+    /// Scene luminance, in stops from the middle code value, of each of [`STEPS`] equally spaced code values. The last
+    /// code value is white.
     stops: Vec<f64>,
 }
 
 /// Steps from code value 0 to white: four for each 8-bit code value.
 const STEPS: usize = 1020;
-/// Code value up to which the slope is largest. Of 48, 64, 80 and 96, this and 48 match the fourteen responses best
-/// (6.3 and 6.2 % of the slope).
+/// Code value up to which the slope is largest. Of the candidates 48, 64, 80 and 96, the values 48 and 64 match the
+/// fourteen measured responses best: their slopes are wrong by 6.2 % and 6.3 %.
 const SHADOWS: f64 = 64.0;
-/// Code values between which the mean slope is the contrast, as [`Photographed`](crate::merge::Photographed) measures
-/// it.
+/// The mean slope between these two code values is the contrast, as [`Photographed`](crate::merge::Photographed)
+/// measures it.
 const CONTRAST_CODES: (usize, usize) = (24, 128);
-/// Range of k: near 1 the slope is 0 at white, below 0 the slope increases towards white.
+/// Range of k. Near 1, the slope at white is almost 0; below 0, the slope increases towards white.
 const LOSS: (f64, f64) = (-8.0, 0.9999);
 
 impl Photograph {
     /// Number of table entries per stop.
     const PER_STOP: f32 = 32.0;
-    /// Light of the first and of the last table entry, in stops from the middle code value.
+    /// Scene luminance of the first and of the last table entry, in stops from the middle code value.
     const STOPS: (f32, f32) = (-14.0, 6.0);
 
-    /// Computes the curve with this contrast below the middle code value and `white_stops` from there to white.
+    /// Computes the curve that has this contrast below the middle code value, and reaches white `white_stops` stops
+    /// above it.
     pub fn new(contrast: f64, white_stops: f64) -> Self {
         let (lights, stops) = curve(contrast, white_stops);
         let display = |stop: f64| {
@@ -64,14 +68,14 @@ impl Photograph {
         };
         let (first, last) = Self::STOPS;
         let count = ((last - first) * Self::PER_STOP) as usize;
-        // One entry more, so that every entry has a successor.
+        // One more entry, so that every entry up to the end of `STOPS` has a successor.
         let shown: Vec<f64> =
             (0..=count + 1).map(|i| display(f64::from(first) + i as f64 / f64::from(Self::PER_STOP))).collect();
         let codes = shown.iter().map(|shown| linear_to_srgb(*shown) as f32).collect();
         Photograph { codes, shown: shown.iter().map(|shown| *shown as f32).collect(), stops }
     }
 
-    /// Returns the code value, 0..=1, of light of this stop.
+    /// Returns the code value, 0..=1, of a scene luminance that is `stop` stops from the middle code value.
     pub fn code(&self, stop: f32) -> f32 {
         Self::at(&self.codes, stop)
     }
@@ -83,8 +87,8 @@ impl Photograph {
         p + (place - place.floor()) * (q - p)
     }
 
-    /// Returns the linear display colour that a photograph gives to `colour` (at any scale) when exposed such that its
-    /// luminance is `display`, below 1.
+    /// Returns the linear display colour that a photograph gives to `colour` if it is exposed such that the displayed
+    /// luminance is `display`, below 1. A factor on `colour` does not matter.
     pub fn showing(&self, colour: [f32; 3], display: f32) -> [f32; 3] {
         let stops = colour.map(|c| log2(c.max(f32::MIN_POSITIVE)));
         let exposed = |stop: f32| stops.map(|c| Self::at(&self.shown, c + stop));
@@ -103,7 +107,7 @@ impl Photograph {
         std::array::from_fn(|c| below[c] + part.clamp(0.0, 1.0) * (above[c] - below[c]))
     }
 
-    /// Returns the light, in stops, of the code value `code`, 0..=1.
+    /// Returns the scene luminance of the code value `code`, 0..=1, in stops from the middle code value.
     pub fn stop(&self, code: f64) -> f64 {
         let place = (code * STEPS as f64 - 1.0).clamp(0.0, (STEPS - 1) as f64);
         let below = (place as usize).min(STEPS - 2);
@@ -111,15 +115,15 @@ impl Photograph {
     }
 }
 
-/// Returns for each of the [`STEPS`] code values above 0 the display luminance in stops from white, and the light in
-/// stops from the middle code value.
+/// Returns for each of the [`STEPS`] code values above 0 the display luminance in stops from white, and the scene
+/// luminance in stops from the middle code value.
 fn curve(contrast: f64, white_stops: f64) -> (Vec<f64>, Vec<f64>) {
     let lights: Vec<f64> = (1..=STEPS).map(|i| libm::log2(srgb_to_linear(i as f64 / STEPS as f64))).collect();
     let at = |code: usize| code * STEPS / 255 - 1;
     let (first, middle) = (at(CONTRAST_CODES.0), at(CONTRAST_CODES.1));
     let (mut low, mut high) = LOSS;
     let mut slopes = Vec::new();
-    // Bisection of a range of 9, to 1e-11.
+    // 40 halvings of the range of k, which is 9 wide, determine k to 1e-11.
     for _ in 0..40 {
         let k = 0.5 * (low + high);
         slopes = (1..STEPS).map(|i| 1.0 - k * past_shadows((i as f64 + 0.5) / STEPS as f64)).collect();
@@ -157,8 +161,8 @@ mod tests {
             let photograph = Photograph::new(contrast, white_stops);
             let code = |stop: f64| f64::from(photograph.code(stop as f32));
             assert!((code(0.0) - 128.0 / 255.0).abs() < 1e-4);
-            // The curve has a corner at white, within a segment of the table over which the code rises by up to 0.02.
-            // Linear interpolation cuts the corner by at most a quarter of this.
+            // The curve has a corner at white, which lies between two table entries. The code values of these entries
+            // differ by up to 0.02, and linear interpolation cuts the corner by at most a quarter of this.
             assert!((code(white_stops) - 1.0).abs() < 6e-3 && code(white_stops + 1.0) > 0.9999);
             let light = |code: f64| libm::log2(srgb_to_linear(code / 255.0));
             let slope = (light(128.0) - light(24.0)) / (photograph.stop(128.0 / 255.0) - photograph.stop(24.0 / 255.0));
@@ -175,12 +179,13 @@ mod tests {
     fn a_display_s_own_curve_is_one_of_them() {
         let white = -libm::log2(srgb_to_linear(128.0 / 255.0));
         let photograph = Photograph::new(1.0, white);
-        // Up to the last table entry before white, which is at 2.19 stops.
+        // The range ends before the last table entry below white, which is at 2.19 stops: the next interval contains
+        // the corner at white.
         for stop in (-400..218).map(|i| f64::from(i) / 100.0) {
             let expected = linear_to_srgb(libm::exp2(stop - white));
             let found = f64::from(photograph.code(stop as f32));
-            // Linear interpolation over 1/32 stop: an eighth of its square times the largest second derivative (0.11)
-            // is 1.3e-5; and the error of the bisection.
+            // The tolerance covers two errors: that of linear interpolation over h = 1/32 stop, which is h^2 / 8 times
+            // the largest second derivative (0.11), 1.3e-5; and that of the bisection.
             assert!((found - expected).abs() < 1e-4, "{stop}: {found} for {expected}");
         }
     }

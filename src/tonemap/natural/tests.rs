@@ -14,7 +14,7 @@ fn picture(map: &Plane<[f32; 3]>, options: &Options) -> Plane<[u8; 3]> {
     shown(map, None, options)
 }
 
-/// Returns a dark room and a bright window, with texture in both, 10 stops apart.
+/// Returns a dark room with a window that is 10 stops brighter; both have texture.
 fn room(factor: f32) -> Plane<[f32; 3]> {
     Plane::from_rows(240, 160, |y, row| {
         for (x, p) in row.iter_mut().enumerate() {
@@ -52,7 +52,8 @@ fn both_sides_of_an_edge_are_shown() {
     }
 }
 
-/// The same room, but the longest photograph shows the shadows four stops darker: the picture is darker too.
+/// The night scene is the same room, but its longest photograph is four stops darker. So the picture must be darker
+/// too.
 #[test]
 fn night_scene_stays_dark() {
     let map = room(1.0);
@@ -61,7 +62,8 @@ fn night_scene_stays_dark() {
     assert!(mean(&night) < 0.7 * mean(&day), "{} {}", mean(&night), mean(&day));
 }
 
-/// The mean code value is that of the fused photographs and not [`BRIGHTNESS`]; a brightness that is set is reached.
+/// By default the mean code value is that of the fused photographs, and not [`BRIGHTNESS`]. A brightness that is set is
+/// reached.
 #[test]
 fn default_brightness_is_that_of_the_fused_photographs() {
     let map = room(1.0);
@@ -97,7 +99,7 @@ fn settings_have_their_documented_effect() {
     assert!(steep(1.0) > 1.1 * steep(0.0), "{} {}", steep(1.0), steep(0.0));
 }
 
-/// Cells of 4 pixels: `detail` amplifies finer contrast.
+/// Cells have 4 x 4 pixels here; `detail` amplifies contrast that is finer than a cell.
 #[test]
 fn detail_increases_contrast_finer_than_a_cell() {
     let map = Plane::from_rows(1600, 1200, |y, row| {
@@ -113,8 +115,8 @@ fn detail_increases_contrast_finer_than_a_cell() {
     assert!(f64::from(steps(2.0)) > 1.5 * f64::from(steps(1.0)), "{} {}", steps(2.0), steps(1.0));
 }
 
-/// Saturated light over ten stops keeps its OkLCh hue and gains no chroma at its luminance, within the rounding of code
-/// values.
+/// Saturated colours over ten stops keep their OkLCh hue to within 10 degrees. Their chroma does not exceed that of the
+/// scene's colour at the same luminance, up to the rounding of code values.
 #[test]
 fn hue_is_kept_and_saturation_does_not_increase() {
     let colours = [[1.0, 0.2, 0.06], [0.1, 0.3, 1.0], [0.2, 1.0, 0.1], [1.0, 0.9, 0.3]];

@@ -1,8 +1,9 @@
 //! Drago's adaptive logarithmic mapping: a logarithm whose base increases with luminance, which lifts dark parts and
 //! compresses bright ones.
 //!
-//! In: a scene. Out: its tones, one curve for all pixels. Cost: none per pixel. Source: Drago, Myszkowski, Annen,
-//! Chiba, "Adaptive Logarithmic Mapping for Displaying High Contrast Scenes" (2003), section 3, equations 1 to 4.
+//! In: a scene. Out: its tones, by one curve for all pixels. Cost: nothing per pixel beyond the mapping in `tones`.
+//! Source: Drago, Myszkowski, Annen, Chiba, "Adaptive Logarithmic Mapping for Displaying High Contrast Scenes" (2003),
+//! section 3, equations 1 to 4.
 
 use crate::tonemap::guide::Guide;
 use crate::tonemap::overview::Scene;
@@ -14,7 +15,8 @@ use crate::tonemap::tones::{Curve, Tones};
 pub struct Options {
     /// The bias b, 0.5 to 1: smaller values brighten the dark parts. The paper uses 0.85.
     pub bias: f64,
-    /// Factor on the saturation of Mantiuk's fit: 1 looks as colourful as the scene, 0 is grey.
+    /// Factor on the saturation that Mantiuk's colour correction gives (see `tones`): 1 looks as colourful as the
+    /// scene, 0 is grey.
     pub saturation: f64,
 }
 
@@ -25,7 +27,7 @@ impl Default for Options {
 }
 
 impl Options {
-    /// The settings by name.
+    /// Returns the settings, each with its name, range and description.
     pub fn settings(&mut self) -> Vec<Setting<'_>> {
         vec![
             Setting::number("bias", (0.5, 1.0), &mut self.bias, "smaller values brighten the dark parts"),
@@ -61,7 +63,8 @@ mod tests {
     use crate::plane::Plane;
     use crate::tonemap::overview::Overview;
 
-    /// Equation 4 as printed, on a ramp. Code values are rounded, and the curve is piecewise linear.
+    /// The expected values are equation 4 as printed, on a ramp. The tolerance covers the rounding of code values and
+    /// the linear interpolation of the curve.
     #[test]
     fn codes_are_those_of_the_equation() {
         let light = |x: usize| libm::exp2(x as f64 / 50.0);
@@ -79,7 +82,7 @@ mod tests {
                 let base = 2.0 + libm::pow(l / most, libm::log(bias) / libm::log(0.5)) * 8.0;
                 let display = libm::log(l + 1.0) / libm::log(base) / libm::log10(most + 1.0);
                 let code = 255.0 * crate::bracket::colour::linear_to_srgb(display);
-                // The percentiles of the scene are exact only to 1/50 stop, a step of the ramp.
+                // The percentiles of the scene are exact only to 1/50 stop, which is one step of the ramp.
                 assert!((f64::from(picture.at(x, 3)[1]) - code).abs() < 2.0, "{bias} {x}: {code}");
             }
         }

@@ -1,6 +1,6 @@
 //! Durand & Dorsey's operator: splits the picture into a base and a detail layer and compresses the base alone.
 //!
-//! In: a scene. Out: its tones. Cost: 20 ns a cell, of which there are at most [`CELLS`]. Source: Durand & Dorsey,
+//! In: a scene. Out: its tones. Cost: 20 ns per cell of a grid of at most [`CELLS`] cells. Source: Durand & Dorsey,
 //! "Fast Bilateral Filtering for the Display of High-Dynamic-Range Images" (2002), sections 4 and 6.
 
 use crate::plane::Plane;
@@ -17,10 +17,11 @@ pub struct Options {
     pub base_stops: f64,
     /// Spatial standard deviation of the filter, as a fraction of the longer side of the picture.
     pub reach: f64,
-    /// Standard deviation of the filter in luminance, in stops: larger differences are edges. The paper uses 0.4 in
-    /// log10.
+    /// Standard deviation of the filter in luminance, in stops: larger differences count as edges. The paper uses 0.4
+    /// in log10, which is 1.33 stops.
     pub edge_stops: f64,
-    /// Factor on the saturation of Mantiuk's fit: 1 looks as colourful as the scene, 0 is grey.
+    /// Factor on the saturation that Mantiuk's colour correction gives (see `tones`): 1 looks as colourful as the
+    /// scene, 0 is grey.
     pub saturation: f64,
 }
 
@@ -31,7 +32,7 @@ impl Default for Options {
 }
 
 impl Options {
-    /// The settings by name.
+    /// Returns the settings, each with its name, range and description.
     pub fn settings(&mut self) -> Vec<Setting<'_>> {
         vec![
             Setting::number(
@@ -55,7 +56,8 @@ impl Options {
 /// Largest number of cells that the base is computed on.
 pub const CELLS: usize = 1 << 19;
 
-/// Share of the base at either end that is ignored for its range, and share of the tones that may be clipped to white.
+/// Share of the values of the base that is ignored at each end when its range is measured. The same share of the tones
+/// may be clipped to white.
 const ENDS: f64 = 0.005;
 
 /// Returns the tones of `scene`.
@@ -70,7 +72,8 @@ pub fn durand(scene: &Scene, options: &Options) -> Tones {
     let factor = (options.base_stops / range).min(1.0) as f32;
     let cells = base.as_slice().iter().zip(logs.as_slice());
     let tones: Vec<f32> = cells.map(|(&b, &l)| factor * (b - ends.1) + (l - b)).collect();
-    // The paper clips detail above the brightest base; here white is set above all but the brightest tones.
+    // In the paper, detail that is brighter than the brightest base is clipped. Here white is the tone that only a
+    // share [`ENDS`] of the tones exceeds.
     let white = self::ends(&tones).1;
     let tones = Plane::from_vec(logs.width(), logs.height(), tones);
     let guide = Guide::fitted(logs, &tones, scene.side, 1.0);
@@ -79,7 +82,7 @@ pub fn durand(scene: &Scene, options: &Options) -> Tones {
     Tones::new(scene.to_srgb, guide, curve, scene.size.0)
 }
 
-/// Returns the values below and above which a share [`ENDS`] lies.
+/// Returns two values: a share [`ENDS`] of `values` lies below the first, and the same share above the second.
 fn ends(values: &[f32]) -> (f32, f32) {
     let mut sorted = values.to_vec();
     sorted.sort_unstable_by(f32::total_cmp);
@@ -94,8 +97,8 @@ mod tests {
     use crate::bracket::colour::{Primaries, srgb_to_linear};
     use crate::tonemap::overview::Overview;
 
-    /// Section 4: the two halves differ by the range of the compressed base, and the detail has the contrast of the
-    /// scene.
+    /// Section 4: the two halves of the picture differ by the range of the compressed base, and their detail has the
+    /// same contrast as in the scene.
     #[test]
     fn the_base_is_compressed_and_detail_is_not() {
         let wave = |x: usize, y: usize| if (x / 3 + y / 3).is_multiple_of(2) { 0.15 } else { -0.15 };
@@ -109,8 +112,8 @@ mod tests {
         let scene = overview.scene().unwrap();
         let picture = durand(&scene, &Options { base_stops: 3.0, ..Options::default() }).picture(&map);
         let log = |x: usize, y: usize| libm::log2(srgb_to_linear(f64::from(picture.at(x, y)[1]) / 255.0));
-        // Code values of 90 to 255 are exact to 0.02 stops; the blur of the grid changes the base by less than 0.1
-        // stops.
+        // The tolerances cover the rounding of code values from 90 to 255 (0.02 stops) and the blur of the bilateral
+        // grid, which changes the base by less than 0.1 stops.
         for x in [40, 100, 300, 360] {
             assert!((log(x, 100) - log(x + 3, 100)).abs() - 0.3 < 0.06, "{x}");
         }

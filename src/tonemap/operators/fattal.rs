@@ -1,9 +1,9 @@
 //! Gradient domain compression: attenuates steep gradients at every scale, keeps gentle ones, and integrates the
 //! result.
 //!
-//! In: a scene. Out: its tones. Cost: 1 us of one core per cell, of at most `CELLS` cells: 0.2 s. Source: Fattal,
-//! Lischinski, Werman, "Gradient Domain High Dynamic Range Compression" (2002), section 3, equations 3 to 6
-//! (integration), and section 4 (attenuation).
+//! In: a scene. Out: its tones. Cost: 1 us of core time per cell; 0.2 s for the largest grid (`log_range::CELLS`
+//! cells). Source: Fattal, Lischinski, Werman, "Gradient Domain High Dynamic Range Compression" (2002), section 3,
+//! equations 3 to 6 (integration), and section 4 (attenuation).
 
 use crate::plane::{Plane, fold_bands};
 use crate::pyramid::burt_adelson::{expand, gaussian_pyramid};
@@ -16,19 +16,20 @@ use crate::tonemap::tones::Tones;
 /// Settings of the operator.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Options {
-    /// The gradient that stays unchanged, relative to the mean gradient of its scale; steeper gradients are attenuated.
-    /// The paper uses 0.1, which attenuates most of the picture.
+    /// The gradient that stays unchanged, as a multiple of the mean gradient of its scale; steeper gradients are
+    /// attenuated. The paper uses 0.1, which attenuates most of the picture.
     pub alpha: f64,
-    /// Exponent of gradients relative to alpha, at every scale; 1 changes nothing. The paper uses 0.8 to 0.9.
+    /// Exponent of (gradient / alpha) at every scale; 1 changes nothing. The paper uses 0.8 to 0.9.
     pub beta: f64,
-    /// Gradients below this share of the mean count as noise and are scaled like gradients of that size. The paper has
-    /// no such limit, which amplifies the noise of skies.
+    /// Gradients below this multiple of the mean count as noise, and get the same factor as a gradient of exactly this
+    /// size. The paper has no such limit and so amplifies the noise of skies.
     pub noise: f64,
     /// Stops from black to white on the display.
     pub range_stops: f64,
     /// The mean of the picture's code values, 0 to 1.
     pub brightness: f64,
-    /// Factor on the saturation of Mantiuk's fit: 1 looks as colourful as the scene, 0 is grey.
+    /// Factor on the saturation that Mantiuk's colour correction gives (see `tones`): 1 looks as colourful as the
+    /// scene, 0 is grey.
     pub saturation: f64,
 }
 
@@ -39,7 +40,7 @@ impl Default for Options {
 }
 
 impl Options {
-    /// The settings by name.
+    /// Returns the settings, each with its name, range and description.
     pub fn settings(&mut self) -> Vec<Setting<'_>> {
         vec![
             Setting::number(
@@ -62,7 +63,7 @@ impl Options {
     }
 }
 
-/// The shorter side, in cells, of the coarsest scale (section 4).
+/// The coarsest scale has a shorter side of at least this many cells (section 4), unless the picture is smaller.
 const COARSEST: usize = 32;
 
 /// Returns the tones of `scene`.
@@ -75,7 +76,8 @@ pub fn fattal(scene: &Scene, options: &Options) -> Tones {
 fn compressed(logs: &Plane<f32>, options: &Options) -> Plane<f32> {
     let kept = attenuation(logs, options);
     let (width, height) = (logs.width(), logs.height());
-    // Equation 4, forward differences as in section 3; a difference lies between two cells.
+    // Equation 4, with forward differences as in section 3. A difference lies between two cells, so its factor is the
+    // mean of the factors of these cells.
     let right = Plane::from_rows(width, height, |y, row| {
         let (l, k) = (logs.row(y), kept.row(y));
         for x in 0..width - 1 {
@@ -91,7 +93,8 @@ fn compressed(logs: &Plane<f32>, options: &Options) -> Plane<f32> {
     integrated(&right, &down)
 }
 
-/// Returns Phi of section 4: the factor on each gradient, the product of the factors of all scales.
+/// Returns Phi of section 4: for each cell the factor on its gradient, which is the product of the factors at all
+/// scales.
 fn attenuation(logs: &Plane<f32>, options: &Options) -> Plane<f32> {
     let mut levels = 1;
     while (logs.width().min(logs.height()) >> levels) >= COARSEST {
@@ -111,8 +114,8 @@ fn attenuation(logs: &Plane<f32>, options: &Options) -> Plane<f32> {
     product.unwrap_or_else(|| Plane::filled(logs.width(), logs.height(), 1.0))
 }
 
-/// Returns the length of the gradient by central differences. The paper's division by the cell width of the scale
-/// cancels, because gradients are only compared with the mean of their scale.
+/// Returns the length of the gradient by central differences. The paper also divides by the cell width of the scale.
+/// Here this division would cancel, because gradients are only compared with the mean of their scale.
 fn steepness(level: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (level.width(), level.height());
     Plane::from_rows(width, height, |y, row| {
@@ -126,7 +129,8 @@ fn steepness(level: &Plane<f32>) -> Plane<f32> {
     })
 }
 
-/// Returns phi_k of section 4: (alpha / g) (g / alpha)^beta, with g at least the noise.
+/// Returns phi_k of section 4, the factor at one scale: (alpha / g) (g / alpha)^beta. The gradient g is raised to at
+/// least the noise limit.
 fn scaling(steepness: &Plane<f32>, options: &Options) -> Plane<f32> {
     let (width, height) = (steepness.width(), steepness.height());
     let of_band = |rows| steepness.rows(rows).iter().map(|&g| f64::from(g)).sum::<f64>();
@@ -153,7 +157,7 @@ mod tests {
         fattal(&overview.scene().unwrap(), options).picture(map)
     }
 
-    /// Returns two textured halves that are six stops apart.
+    /// Returns the log2 luminance of two textured halves; the right one is six stops brighter.
     fn logs(width: usize, height: usize) -> Plane<f32> {
         Plane::from_rows(width, height, |y, row| {
             for (x, l) in row.iter_mut().enumerate() {
@@ -168,8 +172,8 @@ mod tests {
         Plane::from_vec(logs.width(), logs.height(), pixels.collect())
     }
 
-    /// With beta = 1 every gradient is kept, and the picture is recovered up to its mean, within the solver's 1e-4 of
-    /// six stops.
+    /// With beta = 1 every gradient is kept, so the picture is recovered up to its mean. The solver's error is 1e-4 of
+    /// the range of six stops.
     #[test]
     fn fattal_without_attenuation_changes_nothing() {
         let logs = logs(150, 90);
@@ -178,7 +182,7 @@ mod tests {
         assert!(logs.as_slice().iter().zip(same.as_slice()).all(|(a, b)| (a - b - shift).abs() < 0.01));
     }
 
-    /// Compared with the paper's phi for one scale.
+    /// The factors are compared with the paper's phi for one scale.
     #[test]
     fn gradients_are_scaled_as_the_paper_has_it() {
         let steepness = Plane::from_vec(4, 2, vec![0.01f32, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 0.0]);
@@ -191,7 +195,7 @@ mod tests {
         }
     }
 
-    /// The edge shrinks far more than the texture, and the more the smaller beta is.
+    /// The edge shrinks more than the texture. The smaller beta is, the more the edge shrinks relative to the texture.
     #[test]
     fn edges_shrink_more_than_texture() {
         let before = logs(200, 120);

@@ -1,10 +1,10 @@
 //! Contrast processing: attenuates the perceived contrasts between neighbours at every scale, and reconstructs the
 //! picture that has them.
 //!
-//! In: a scene. Out: its tones. Cost: 2 us a cell and core, of which there are at most `CELLS`: 0.4 s. Source: Mantiuk,
-//! Myszkowski, Seidel, "A Perceptual Framework for Contrast Processing of High Dynamic Range Images" (2006): section 3
-//! (the pyramid of contrasts), 4 (the response to contrast), 5 (back to luminance), 6.1 (contrast mapping), 6.2
-//! (contrast equalisation).
+//! In: a scene. Out: its tones. Cost: 2 us of core time per cell; 0.4 s for the largest grid (`log_range::CELLS`
+//! cells). Source: Mantiuk, Myszkowski, Seidel, "A Perceptual Framework for Contrast Processing of High Dynamic Range
+//! Images" (2006): section 3 (the pyramid of contrasts), 4 (the response to contrast), 5 (back to luminance), 6.1
+//! (contrast mapping), 6.2 (contrast equalisation).
 
 use crate::plane::Plane;
 use crate::tonemap::overview::Scene;
@@ -18,14 +18,15 @@ use crate::tonemap::tones::Tones;
 pub struct Options {
     /// Factor on the eye's response to each contrast: smaller values give a more even picture with stronger detail.
     pub contrast: f64,
-    /// Strength of the equalisation of responses: 0 none, 1 complete. At 0.5 the noise of skies stays weaker than the
-    /// texture of the scene.
+    /// Strength of the equalisation of responses: 0 is none, 1 is complete. At 0.5 the noise of skies stays weaker than
+    /// the texture of the scene.
     pub equalise: f64,
     /// Stops from black to white on the display.
     pub range_stops: f64,
     /// The mean of the picture's code values, 0 to 1.
     pub brightness: f64,
-    /// Factor on the saturation of Mantiuk's fit: 1 looks as colourful as the scene, 0 is grey.
+    /// Factor on the saturation that Mantiuk's colour correction gives (see `tones`): 1 looks as colourful as the
+    /// scene, 0 is grey.
     pub saturation: f64,
 }
 
@@ -36,7 +37,7 @@ impl Default for Options {
 }
 
 impl Options {
-    /// The settings by name.
+    /// Returns the settings, each with its name, range and description.
     pub fn settings(&mut self) -> Vec<Setting<'_>> {
         vec![
             Setting::number(
@@ -58,13 +59,13 @@ impl Options {
     }
 }
 
-/// The shorter side, in cells, of the coarsest scale.
+/// The coarsest scale has a shorter side of at least this many cells, unless the picture is smaller.
 const COARSEST: usize = 3;
 
-/// Relative error at which the solver stops: for a range of ten stops a hundredth of a stop.
+/// Relative error at which the solver stops. For a range of ten stops it is a hundredth of a stop.
 const TOLERANCE: f64 = 1e-3;
 
-/// Largest number of steps; 15 to 30 are needed.
+/// Largest number of iterations of the solver; 15 to 30 are needed.
 const MOST_STEPS: usize = 60;
 
 /// Returns the tones of `scene`.
@@ -84,10 +85,11 @@ fn processed(logs: &Plane<f32>, options: &Options) -> Plane<f32> {
     tones
 }
 
-/// The contrasts of one scale: log10 of ratios.
+/// The contrasts of one scale. A contrast is the log10 of the luminance of a neighbour divided by that of the cell.
 #[derive(Debug, Clone)]
 struct Contrasts {
-    /// Contrasts to the right neighbour, 0 in the last column, and to the lower one, 0 in the last row.
+    /// First the contrasts to the right neighbours, with 0 in the last column; then those to the lower neighbours, with
+    /// 0 in the last row.
     to: [Plane<f32>; 2],
 }
 
@@ -207,8 +209,8 @@ fn least_difference(contrast: f32) -> f32 {
     if contrast < BEND { SEEN } else { FACTOR * libm::powf(contrast, POWER) }
 }
 
-/// Returns the response to a contrast in just noticeable differences (section 4): the integral of the reciprocal of
-/// [`least_difference`].
+/// Returns the response to a contrast (log10), in just noticeable differences (section 4). It is the integral of 1 /
+/// [`least_difference`] from 0 to the contrast.
 fn response(contrast: f32) -> f32 {
     if contrast < BEND {
         return contrast / SEEN;
@@ -267,7 +269,7 @@ mod tests {
     use crate::bracket::colour::Primaries;
     use crate::tonemap::overview::Overview;
 
-    /// Returns two textured halves that are six stops apart.
+    /// Returns the log2 luminance of two textured halves; the right one is six stops brighter.
     fn logs(width: usize, height: usize) -> Plane<f32> {
         Plane::from_rows(width, height, |y, row| {
             for (x, l) in row.iter_mut().enumerate() {
@@ -305,13 +307,13 @@ mod tests {
         }
     }
 
-    /// The expected result: [`contrasts`] as a dense matrix, with a column for each unit vector, and its weighted
-    /// normal equations solved in `f64`.
+    /// For the expected result, [`contrasts`] is written as a dense matrix with a column for each unit vector, and its
+    /// weighted normal equations are solved in `f64`.
     #[test]
     fn solution_minimises_the_weighted_squares() {
         for (w, h) in [(13, 9), (7, 12), (2, 3)] {
             let n = w * h;
-            // Contrasts that are those of no picture.
+            // The compressed contrasts do not belong to any picture.
             let compressed =
                 |level: &Contrasts| level.clone().changed(level, |c, _| inverse(0.3 * response(c.abs())).copysign(c));
             let pyramid: Vec<Contrasts> = contrasts(logs(w, h)).iter().map(compressed).collect();
@@ -334,7 +336,8 @@ mod tests {
             let found = with_contrasts(&pyramid);
             let mean = found.as_slice().iter().map(|v| f64::from(*v)).sum::<f64>() / n as f64;
             for (a, b) in found.as_slice().iter().zip(expected.iter()) {
-                // The tolerance is [`TOLERANCE`], a thousandth, of the picture's range of some units, with a margin.
+                // The expected error is [`TOLERANCE`] (a thousandth) times the picture's range of some units; 0.01
+                // leaves a margin.
                 assert!((f64::from(*a) - mean - b).abs() < 0.01, "{w}x{h}: {a} {b}");
             }
         }
@@ -359,7 +362,7 @@ mod tests {
         assert!(logs.as_slice().iter().zip(same.as_slice()).all(|(a, b)| (a - b - shift).abs() < 0.03));
     }
 
-    /// The edge of six stops shrinks more than the texture, and with equalisation still more.
+    /// The edge of six stops shrinks more than the texture, and with equalisation this difference is greater.
     #[test]
     fn strong_contrasts_are_weakened_more() {
         let before = logs(160, 100);

@@ -1,10 +1,10 @@
 //! Display adaptive tone mapping: the tone curve that best reproduces the visible contrasts of a scene on a given
 //! display.
 //!
-//! In: a scene, and the properties of the display and the room. Out: its tones, one curve for all pixels. Cost: 60 ns a
-//! cell, of which there are at most `CELLS`, and some tens of small quadratic programs: 0.1 s. Source: Mantiuk, Daly,
-//! Kerofsky, "Display Adaptive Tone Mapping" (2008): section 3 (the problem, solved as a sequence of quadratic
-//! programs), 4 (the eye), 5 (the display), 6 (statistics of contrasts by luminance).
+//! In: a scene, and the properties of the display and the room. Out: its tones, by one curve for all pixels. Cost: 60
+//! ns per cell of a grid of at most `CELLS` cells, and some tens of small quadratic programs; 0.1 s in all. Source:
+//! Mantiuk, Daly, Kerofsky, "Display Adaptive Tone Mapping" (2008): section 3 (the problem, solved as a sequence of
+//! quadratic programs), 4 (the eye), 5 (the display), 6 (statistics of contrasts by luminance).
 
 use crate::bracket::colour::srgb_to_linear;
 use crate::plane::Plane;
@@ -23,11 +23,12 @@ pub struct Options {
     pub peak_cd_m2: f64,
     /// Luminance of the display's black in a dark room, cd/m2.
     pub black_cd_m2: f64,
-    /// Illuminance in the room, lux, a hundredth of which the screen reflects: higher values brighten the dark parts.
+    /// Illuminance in the room, in lux. The screen reflects a hundredth of it; higher values brighten the dark parts.
     pub ambient_lux: f64,
-    /// Factor on the contrast of the scene to reproduce.
+    /// Factor on the contrast of the scene; the product is the contrast to reproduce.
     pub contrast: f64,
-    /// Factor on the saturation of Mantiuk's fit: 1 looks as colourful as the scene, 0 is grey.
+    /// Factor on the saturation that Mantiuk's colour correction gives (see `tones`): 1 looks as colourful as the
+    /// scene, 0 is grey.
     pub saturation: f64,
 }
 
@@ -39,7 +40,7 @@ impl Default for Options {
 }
 
 impl Options {
-    /// The settings by name.
+    /// Returns the settings, each with its name, range and description.
     pub fn settings(&mut self) -> Vec<Setting<'_>> {
         vec![
             Setting::number(
@@ -61,18 +62,18 @@ impl Options {
     }
 }
 
-/// Largest number of cells in which contrasts are counted. Cells stand for the pixels of the display.
+/// Largest number of cells in which contrasts are counted. A cell is treated as one pixel of the display.
 const CELLS: usize = 1 << 18;
 
-/// Pixels of the display per degree: a monitor at arm's length.
+/// Pixels of the display per degree of visual angle: those of a monitor at arm's length.
 const PIXELS_PER_DEGREE: f64 = 30.0;
 
-/// Number of frequency bands of one octave each, from 15 cycles per degree down to below 3 (section 6).
+/// Number of frequency bands, one octave apart: 15, 7.5, 3.75 and 1.9 cycles per degree (section 6).
 const BANDS: usize = 4;
 
-/// Smallest distance of the nodes of the curve, in log10.
+/// Smallest distance between neighbouring nodes of the tone curve, in log10 luminance.
 const STEP: f64 = 0.1;
-/// Largest number of pieces of the curve.
+/// Largest number of linear pieces of the tone curve.
 const MOST_PIECES: usize = 40;
 
 /// Largest contrast that is counted, log10.
@@ -81,10 +82,11 @@ const MOST_CONTRAST: f64 = 0.7;
 /// Contrast threshold, log10: 1 %.
 const SEEN: f64 = 0.0043;
 
-/// Luminance that the eye of the viewer of the scene is adapted to, cd/m2: daylight.
+/// Luminance, in cd/m2, to which the eye of a viewer of the real scene is adapted: daylight.
 const DAYLIGHT: f64 = 1000.0;
 
-/// Weight of a gap between luminances that occur, as a share of all contrasts (section 6, disconnected parts).
+/// Weight of the contrast that is added across a gap of the tone curve in which no contrasts occur, relative to the
+/// weight of all contrasts together (section 6, disconnected parts).
 const BRIDGE: f64 = 0.1;
 
 /// Largest number of rounds; in each, responses are linearised again.
@@ -104,13 +106,13 @@ struct Display {
 impl Display {
     fn new(options: &Options) -> Self {
         let reflected = 0.01 / std::f64::consts::PI * options.ambient_lux;
-        // A black of 0 would give an infinite range; it is limited to a ten thousandth of white.
+        // A black of 0 would give an infinite range, so black is at least a ten thousandth of the peak luminance.
         let black = (options.black_cd_m2 + reflected).clamp(1e-4 * options.peak_cd_m2, 0.5 * options.peak_cd_m2);
         Display { black, white: options.peak_cd_m2 + reflected }
     }
 
-    /// Returns the linear sRGB value to send for a luminance. Real displays follow the gamma of 2.2 of the paper, which
-    /// shows the darkest code values darker than sRGB defines them, so lighter values are sent.
+    /// Returns the linear sRGB value to send for a luminance. Real displays have the paper's gamma of 2.2, which shows
+    /// the darkest code values darker than sRGB defines them. Lighter values are sent to compensate for this.
     fn linear(&self, cd_m2: f64) -> f64 {
         let part = ((cd_m2 - self.black) / (self.white - self.black)).clamp(0.0, 1.0);
         srgb_to_linear(libm::pow(part, 1.0 / 2.2))
@@ -172,7 +174,7 @@ pub fn mantiuk08(scene: &Scene, options: &Options) -> Tones {
         let log = if at <= 0.0 { ends[0] + at * nodes.step } else { ends[i] + (at - i as f64).min(1.0) * pieces[i] };
         display.linear(display.white * libm::exp10(log))
     };
-    // The slope of the tone curve at a luminance, averaged over nine segments (a factor of ten) so that the corners
+    // The slope of the tone curve at a luminance, averaged over nine pieces (0.9 or more in log10), so that the corners
     // of the piecewise linear curve do not show in the colours.
     let slope = |v: f64| {
         let (i, _) = piece(log10_of(v));
@@ -185,7 +187,8 @@ pub fn mantiuk08(scene: &Scene, options: &Options) -> Tones {
     Tones::new(scene.to_srgb, Guide::shifted(shift), curve, scene.size.0)
 }
 
-/// Returns log10 display luminance at every node, relative to white. Unused range is left at the dark end.
+/// Returns log10 display luminance at every node, relative to white. If the curve does not use the whole range of the
+/// display, the darkest part of that range is unused.
 fn ends(pieces: &[f64]) -> Vec<f64> {
     let mut ends = vec![0.0f64; pieces.len() + 1];
     for i in (0..pieces.len()).rev() {
@@ -194,7 +197,8 @@ fn ends(pieces: &[f64]) -> Vec<f64> {
     ends
 }
 
-/// Section 6: counts the contrasts to the surroundings, by band and by luminance of the surroundings.
+/// Section 6: counts the contrasts between cells and their surroundings, by frequency band and by the two nodes of the
+/// curve that a contrast connects.
 fn counted(logs: &Plane<f32>, nodes: &Nodes) -> Vec<Contrasts> {
     let reach = libm::round(MOST_CONTRAST / nodes.step).max(1.0) as isize;
     let size = nodes.pieces + 1;
@@ -274,7 +278,7 @@ fn curve(contrasts: &[Contrasts], nodes: &Nodes, display: &Display, enhanced: f6
                 h[i][c.from..c.to].iter_mut().for_each(|v| *v += c.share * slope * slope);
             }
         }
-        // Regularisation: pieces that only occur together get equal shares.
+        // The ridge is a regularisation: it gives equal shares to pieces that occur only together.
         let ridge = 1e-6 * (0..n).map(|i| h[i][i]).sum::<f64>() / n as f64;
         (0..n).for_each(|i| h[i][i] += ridge);
         let next = minimum(&h, &f, display.range());
@@ -328,8 +332,9 @@ mod tests {
         contrasts.iter().map(square).sum()
     }
 
-    /// The distortion does not decrease if one piece of the curve gives a part of its output range to another piece.
-    /// The paper's iteration, which fixes the ratio of response and contrast, ends within 5 percent of the minimum.
+    /// If one piece of the curve gives a part of its output range to another piece, the distortion decreases by at most
+    /// 5 %. It may decrease because the paper's iteration, which keeps the ratio of response to contrast fixed in each
+    /// round, does not end exactly at the minimum.
     #[test]
     fn no_curve_near_by_distorts_less() {
         let scene = scene(&radiance(12.0, 1.0));
@@ -368,8 +373,8 @@ mod tests {
         assert!(codes.at(0, 0)[1] < 100 && codes.at(399, 0)[1] == 255);
     }
 
-    /// In a bright room the screen reflects light, and the dark parts are lifted above the reflected light; on a better
-    /// display they stay darker.
+    /// In a bright room the screen reflects light, so the dark parts of the picture are raised above the reflected
+    /// light. On a display with a higher contrast they stay darker.
     #[test]
     fn a_bright_room_lifts_the_dark() {
         let map = radiance(10.0, 1.0);
@@ -385,7 +390,7 @@ mod tests {
         assert!(mean(&better) < mean(&plain), "{}", mean(&better));
     }
 
-    /// A scene of low dynamic range leaves room for more contrast.
+    /// The scene has a low dynamic range, so that the display has room for more contrast.
     #[test]
     fn contrast_reaches_the_target() {
         let map = radiance(1.0, 1.0);
@@ -397,8 +402,8 @@ mod tests {
         assert!(spread(0.6) + 10 < spread(1.0) && spread(1.0) + 10 < spread(1.6), "{} {}", spread(0.6), spread(1.0));
     }
 
-    /// Two distant luminances with texture and nothing in between: the gap is not closed, and does not take the whole
-    /// range.
+    /// There is texture at two distant luminances and nothing in between. The curve keeps a gap between them, but does
+    /// not give it the whole range of the display.
     #[test]
     fn parts_without_contrast_between_them_hold_together() {
         let nodes = Nodes { first: 0.0, step: 0.1, pieces: 30 };

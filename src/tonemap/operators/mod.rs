@@ -1,5 +1,5 @@
-//! The published operators, one file for each, named after its first author; `reinhard` has both versions of
-//! `reinhard02`.
+//! The published operators, one file for each, named after its first author; `reinhard` contains `reinhard02` and
+//! `reinhard02-local`.
 //!
 //! In: a scene. Out: tones. The operators do not depend on each other.
 

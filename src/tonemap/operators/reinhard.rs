@@ -1,6 +1,6 @@
 //! Reinhard's photographic operator: a global tone curve, or a local one by dodging and burning.
 //!
-//! In: a scene. Out: its tones. Cost: none per cell for the global curve; 0.4 us a cell for the local one. Source:
+//! In: a scene. Out: its tones. Cost: nothing per cell for the global curve; 0.4 us per cell for the local one. Source:
 //! Reinhard, Stark, Shirley, Ferwerda, "Photographic Tone Reproduction for Digital Images" (2002), section 3.1,
 //! equations 1 to 4, and 3.2, equations 5 to 9; Reinhard, "Parameter Estimation for Photographic Tone Reproduction"
 //! (2003), equations 4 and 5.
@@ -12,16 +12,18 @@ use crate::tonemap::overview::Scene;
 use crate::tonemap::settings::Setting;
 use crate::tonemap::tones::{Curve, Tones};
 
-/// Settings of the operator; by default they are estimated from the picture.
+/// Settings of both operators. By default, `key` and `white` are estimated from the picture; the local operator uses
+/// the key 0.18.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Options {
-    /// The key a: display luminance (0..1, before the shoulder) of the log-average luminance; about 0.18. `None`:
-    /// estimated.
+    /// The key a: the scaled luminance (equation 2) of the log-average luminance of the scene, about 0.18. `None`:
+    /// estimated by the global operator, 0.18 for the local one.
     pub key: Option<f64>,
     /// L_white: smallest luminance that maps to white, in units of the scaled luminance of equation 2. `None`:
     /// estimated.
     pub white: Option<f64>,
-    /// Factor on the saturation of Mantiuk's fit: 1 looks as colourful as the scene, 0 is grey.
+    /// Factor on the saturation that Mantiuk's colour correction gives (see `tones`): 1 looks as colourful as the
+    /// scene, 0 is grey.
     pub saturation: f64,
 }
 
@@ -32,7 +34,7 @@ impl Default for Options {
 }
 
 impl Options {
-    /// The settings by name.
+    /// Returns the settings, each with its name, range and description.
     pub fn settings(&mut self) -> Vec<Setting<'_>> {
         vec![
             Setting::estimated(
@@ -55,7 +57,7 @@ impl Options {
 /// The tone curve with its parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Shoulder {
-    /// log2 of the key divided by the log-average; added to log2 radiance, it gives log2 of the scaled luminance L of
+    /// log2 of (key / log-average luminance). Added to log2 luminance, it gives log2 of the scaled luminance L of
     /// equation 2.
     shift: f64,
     /// 1 / L_white^2.
@@ -64,7 +66,8 @@ struct Shoulder {
 
 impl Shoulder {
     fn of(scene: &Scene, options: &Options) -> Self {
-        // log2 luminance: the 1st and 99th percentile, and the mean (equation 1) clamped to them.
+        // The 1st and the 99th percentile of log2 luminance, and the mean of log2 luminance (equation 1) with values
+        // clamped to these percentiles.
         let ends = (scene.percentile(0.01), scene.percentile(0.99));
         let average = scene.average_within(ends);
         let key = options.key.unwrap_or_else(|| key(average, ends).clamp(KEYS.0, KEYS.1));
@@ -84,7 +87,8 @@ impl Shoulder {
     }
 }
 
-/// Range of estimated keys: without it a few lamps would make a plain room too dark, and fog would become too bright.
+/// Range of estimated keys. Without this limit, a few lamps would make a plain room too dark, and fog would become too
+/// bright.
 const KEYS: (f64, f64) = (0.15, 0.45);
 
 /// Returns a by equation 4 of Reinhard 2003: a = 0.18 * 4^((2 log L_av - log L_min - log L_max) / (log L_max - log
@@ -95,8 +99,8 @@ fn key(average: f64, (dark, bright): (f64, f64)) -> f64 {
 }
 
 /// Returns L_white by equation 5 of Reinhard 2003: L_white = 1.5 * 2^(log L_max - log L_min - 5). It is limited to
-/// between one and two times the bright end of the scene, so that the bright end is not clipped and something is white;
-/// and is at least 1.
+/// between one and two times the scaled luminance of the bright end of the scene: so the bright end is not clipped, and
+/// the picture still has nearly white parts. It is also at least 1.
 fn white(average: f64, (dark, bright): (f64, f64), key: f64) -> f64 {
     let estimate = 1.5 * libm::exp2(bright - dark - 5.0);
     let brightest = key * libm::exp2(bright - average);
@@ -110,25 +114,26 @@ pub fn global(scene: &Scene, options: &Options) -> Tones {
     Tones::new(scene.to_srgb, Guide::shifted(shoulder.shift), curve, scene.size.0)
 }
 
-/// Largest number of cells of the local operator, whose scales are those of the paper for pictures of about this size.
+/// Largest number of cells of the local operator. Its scales are those of the paper, in pixels of pictures of about
+/// this size.
 const CELLS: usize = 1 << 19;
 
-/// Luminances are clamped to this many stops from the key, so that squares do not overflow.
+/// Scaled luminances are limited to this many stops below and above 1, so that their squares do not overflow.
 const FARTHEST: f32 = 60.0;
 
-/// Number of scales (section 3.2); the first is 1 cell.
+/// Number of scales (section 3.2); the smallest scale is 1 cell.
 const SCALES: usize = 8;
 /// Ratio of each scale to the one before (section 3.2).
 const RATIO: f64 = 1.6;
-/// Size of the centre relative to the scale: 1 / (2 sqrt 2) (section 3.2).
+/// Size of the centre divided by the scale: 1 / (2 sqrt 2) (section 3.2).
 const CENTRE: f64 = 0.353_553_390_593_273_8;
 /// The sharpening phi (section 3.2).
 const PHI: f64 = 8.0;
-/// Largest relative difference of centre and surround that count as similar (section 3.2).
+/// Centre and surround count as similar if their relative difference is below this value (section 3.2).
 const THRESHOLD: f32 = 0.05;
 
-/// Returns the tones of `scene` by dodging and burning: the curve of each place depends on the luminance around it, up
-/// to the nearest edge.
+/// Returns the tones of `scene` by dodging and burning: the curve of each cell depends on the luminance around the
+/// cell, up to the nearest edge.
 pub fn local(scene: &Scene, options: &Options) -> Tones {
     let scene = scene.coarser(CELLS);
     let key = options.key.unwrap_or(0.18);
@@ -140,7 +145,7 @@ pub fn local(scene: &Scene, options: &Options) -> Tones {
         }
     });
     let around = surroundings(&scaled, key);
-    // Equation 9 with the white of equation 4, as log2, which can be interpolated.
+    // Equation 9 with the white of equation 4. Tones are stored as log2, which can be interpolated.
     let inverse_white2 = shoulder.inverse_white2 as f32;
     let tones = Plane::from_rows(width, height, |y, row| {
         for ((v, &l), &a) in row.iter_mut().zip(scaled.row(y)).zip(around.row(y)) {
@@ -148,14 +153,15 @@ pub fn local(scene: &Scene, options: &Options) -> Tones {
         }
     });
     let guide = Guide::fitted(&scene.logs, &tones, scene.side, 1.0);
-    // The remaining contrast of large structures, by equation 4.
+    // The contrast that remains of large structures: the slope of L_d = L / (1 + L) (equation 3) on logarithmic axes is
+    // 1 - L_d.
     let slope = |v: f64| 1.0 - libm::exp2(v).min(0.99);
     let curve = Curve::new(libm::exp2, slope, options.saturation);
     Tones::new(scene.to_srgb, guide, curve, scene.size.0)
 }
 
-/// Returns V_1 of equation 9: the mean of `l` over the largest surroundings of each place in which centre and surround
-/// are similar.
+/// Returns V_1 of equation 9: for each cell, the blurred `l` at the largest scale up to which centre and surround are
+/// similar.
 fn surroundings(l: &Plane<f32>, key: f64) -> Plane<f32> {
     let blurred = |scale: f64| gaussian(l, CENTRE * scale / std::f64::consts::SQRT_2);
     let (width, height) = (l.width(), l.height());
@@ -164,7 +170,7 @@ fn surroundings(l: &Plane<f32>, key: f64) -> Plane<f32> {
     let mut chosen = centre.clone();
     let mut open = Plane::filled(width, height, true);
     for _ in 0..SCALES {
-        // The surround of a scale is the centre of the next.
+        // The surround of one scale is the centre of the next scale.
         let surround = blurred(scale * RATIO);
         let sharpened = (libm::exp2(PHI) * key / (scale * scale)) as f32;
         for y in 0..height {
@@ -210,7 +216,7 @@ mod tests {
         for tones in [global, local] {
             let one = picture(&ramp(1.0, |_, _| None), tones);
             let other = picture(&ramp(1.0 / 1024.0, |_, _| None), tones);
-            // Logarithms are rounded differently.
+            // Logarithms of values that differ by a factor round differently, so code values may differ by 1.
             let differ = one.as_slice().iter().zip(other.as_slice());
             assert!(differ.into_iter().all(|(p, q)| (0..3).all(|c| p[c].abs_diff(q[c]) <= 1)));
             let row = one.row(10);
@@ -219,8 +225,8 @@ mod tests {
         }
     }
 
-    /// A quarter of a percent of suns and half a percent of black pixels must not change the rest by more than a few
-    /// code values.
+    /// A quarter of a percent of the pixels are suns, and half a percent are black. They must not change the other
+    /// pixels by more than 3 code values.
     #[test]
     fn a_few_suns_and_black_pixels_do_not_decide() {
         let plain = picture(&ramp(1.0, |_, _| None), global);
@@ -232,7 +238,7 @@ mod tests {
         }
     }
 
-    /// Texture in the bright half of an edge keeps more contrast by dodging and burning than by the global curve.
+    /// Texture on the bright side of an edge keeps more contrast with dodging and burning than with the global curve.
     #[test]
     fn local_contrast_is_kept_in_the_light() {
         let textured = |x: usize, y: usize| {
@@ -254,7 +260,8 @@ mod tests {
     #[test]
     fn the_key_follows_the_tone() {
         let at = |average| key(average, (-5.0, 5.0));
-        // 0.18 in the middle and a factor of 4 from it at either end, by equation 4.
+        // By equation 4, the key is 0.18 for an average in the middle of the range, 4 times that at the bright end, and
+        // a quarter of that at the dark end.
         assert!((at(0.0) - 0.18).abs() < 1e-12 && (at(5.0) - 0.72).abs() < 1e-12 && (at(-5.0) - 0.045).abs() < 1e-12);
     }
 }

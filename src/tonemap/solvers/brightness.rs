@@ -1,12 +1,13 @@
 //! Brightness: the power function that brings the mean code value of a picture to a target.
 //!
-//! In: luminances of a picture, relative to display white. Out: the exponent to apply to them. Cost: 40 ns a luminance
-//! and bisection step. Source: bisection; a power function keeps black, white and the order of luminances.
+//! In: luminances of a picture, relative to display white. Out: the exponent to apply to them. Cost: 40 ns for each
+//! luminance in each bisection step. A power function is used because it keeps black, white and the order of
+//! luminances.
 
 use crate::bracket::colour::linear_to_srgb;
 
-/// Returns the exponent within `powers` that brings the mean code value (0 to 1) of `linear` nearest to `brightness`,
-/// by `halvings` steps of bisection.
+/// Returns the exponent between `low` and `high` that brings the mean code value (0 to 1) of `linear` nearest to
+/// `brightness`. It is found by `halvings` steps of bisection.
 pub(crate) fn power(linear: &[f64], brightness: f64, (mut low, mut high): (f64, f64), halvings: usize) -> f64 {
     for _ in 0..halvings {
         let power = 0.5 * (low + high);
@@ -33,7 +34,7 @@ mod tests {
             let mean = linear.iter().map(|l| linear_to_srgb(l.powf(power))).sum::<f64>() / 1000.0;
             assert!((mean - brightness).abs() < 1e-6, "{brightness}: {power} {mean}");
         }
-        // The range from 0.5 to 2, halved thirty times, is 1.4e-9.
+        // The range of exponents, from 0.5 to 2, is 1.4e-9 wide after thirty halvings.
         assert!((found(0.0) - 2.0).abs() < 1e-8 && (found(1.0) - 0.5).abs() < 1e-8);
     }
 }

@@ -9,7 +9,8 @@
 /// a picture of one square degree at a distance of half a metre.
 pub(crate) fn sensitivity(frequency: f64, cd_m2: f64) -> f64 {
     const PEAK: f64 = 250.0;
-    // Accommodation at half a metre; horizontal or vertical orientation, no eccentricity.
+    // Daly's factor for the accommodation of the eye at half a metre. His factors for orientation and eccentricity are
+    // 1: for horizontal or vertical patterns in the centre of view.
     let nearer = 0.856 * libm::pow(0.5, 0.14);
     PEAK * daly(frequency, cd_m2).min(daly(frequency / nearer, cd_m2))
 }
@@ -46,7 +47,8 @@ mod tests {
         assert!(loss(1.0) > 1.1 && loss(15.0) > 3.0 * loss(1.0), "{} {}", loss(1.0), loss(15.0));
     }
 
-    /// The response at the threshold is about 1, and above it the response rises as by Weber's law or more slowly.
+    /// The response at the threshold is about 1, and above the threshold it rises with the logarithm of contrast about
+    /// linearly (Weber's law) or more slowly.
     #[test]
     fn response_is_one_at_the_threshold_and_then_slows() {
         for s in [20.0, 150.0] {

@@ -1,7 +1,7 @@
-//! Fills the range of a display: scales the tones of an operator, which may have any range in stops, from black to
-//! white.
+//! Fills the range of a display: scales the tones of an operator, whatever their range in stops, such that they reach
+//! from black to white.
 //!
-//! In: a scene and the tones of its cells. Out: its tones on the display. Cost: 60 ns a cell. Source: Mantiuk,
+//! In: a scene and the tones of its cells. Out: its tones on the display. Cost: 60 ns per cell. Source: Mantiuk,
 //! Myszkowski, Seidel, "A Perceptual Framework for Contrast Processing of High Dynamic Range Images" (2006), section
 //! 6.1: log luminance is scaled such that percentiles map to black and white.
 
@@ -17,7 +17,8 @@ pub(crate) const CELLS: usize = 1 << 18;
 /// Shares of the tones that are clipped to black and to white.
 const CLIPPED: (f64, f64) = (0.01, 0.004);
 
-/// Largest ratio of the range shown to that of the scene, so that fog stays fog and a grey card stays grey.
+/// Largest displayed range, divided by the range of the scene. The limit keeps the contrast of fog and of a grey card
+/// low.
 const MOST_SPREAD: f64 = 1.5;
 
 /// Parameters of the scaling.
@@ -27,7 +28,7 @@ pub(crate) struct LogRange {
     pub stops: f64,
     /// Target of the mean code value, 0 to 1.
     pub brightness: f64,
-    /// Factor on the saturation of Mantiuk's fit.
+    /// Factor on the saturation that Mantiuk's colour correction gives (see `tones`).
     pub saturation: f64,
 }
 
@@ -35,7 +36,8 @@ pub(crate) struct LogRange {
 const POWERS: (f64, f64) = (0.8, 1.6);
 
 impl LogRange {
-    /// Returns the tones of `scene`; `change` maps its [lit](Scene::lit) cells to tones, which are then scaled.
+    /// Returns the tones of `scene`; `change` maps the log2 luminances of its cells, limited as in [`lit`](Scene::lit),
+    /// to tones, which are then scaled.
     pub fn tones(&self, scene: &Scene, change: impl FnOnce(&Plane<f32>) -> Plane<f32>) -> Tones {
         let mut grid = scene.coarser(CELLS);
         grid.logs = grid.lit();
@@ -43,13 +45,13 @@ impl LogRange {
         self.filled(scene, &grid, tones)
     }
 
-    /// Returns the tones of `scene`; `tones` are those of the cells of `grid`, before scaling.
+    /// Returns the tones of `scene`; `tones` are the tones of the cells of `grid` before scaling.
     fn filled(&self, scene: &Scene, grid: &Scene, mut tones: Plane<f32>) -> Tones {
         let mut sorted = tones.as_slice().to_vec();
         sorted.sort_unstable_by(f32::total_cmp);
         let last = sorted.len() - 1;
-        // By nearest rank: in a small picture the share that is clipped may be 0, while `quantile` would clip at least
-        // one value at each end.
+        // The nearest rank is used. In a small picture it may be the darkest or the brightest value, so that nothing is
+        // clipped; `quantile` would clip at least one value at each end.
         let at = |p: f64| sorted[((last as f64 * p).round() as usize).min(last)];
         let (black, white) = (at(CLIPPED.0), at(1.0 - CLIPPED.1));
         let range = scene.percentile(1.0 - CLIPPED.1) - scene.percentile(CLIPPED.0);

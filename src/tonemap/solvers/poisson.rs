@@ -1,23 +1,24 @@
-//! Integrates gradients: finds the picture whose differences from cell to cell are nearest to given ones (Poisson
-//! equation).
+//! Integrates gradients: finds the picture whose differences from cell to cell are nearest to given differences
+//! (Poisson equation).
 //!
-//! In: differences along rows and columns, which need not be those of any picture. Out: the picture, with mean 0, with
-//! Neumann boundary conditions. Cost: about 10 steps of 0.05 us a cell and core, on any size of grid. Source: Fattal,
-//! Lischinski, Werman, "Gradient Domain High Dynamic Range Compression" (2002), section 3, equations 3 to 6, for the
-//! problem; Briggs, Henson, McCormick, "A Multigrid Tutorial" (2000), chapters 2 and 3, for the cycle; Tatebe, "The
-//! Multigrid Preconditioned Conjugate Gradient Method" (1993), for the steps.
+//! In: differences along rows and columns; they need not belong to any picture. Out: the nearest picture with mean 0,
+//! for Neumann boundary conditions. Cost: about 10 iterations for any size of grid, each of 0.05 us of core time per
+//! cell. Source: Fattal, Lischinski, Werman, "Gradient Domain High Dynamic Range Compression" (2002), section 3,
+//! equations 3 to 6, for the problem; Briggs, Henson, McCormick, "A Multigrid Tutorial" (2000), chapters 2 and 3, for
+//! the V-cycle; Tatebe, "The Multigrid Preconditioned Conjugate Gradient Method" (1993), for the iterations.
 
 use crate::plane::{Plane, fold_bands};
 
-/// Relative error, in the norm of the operator, at which the solver stops: for a range of ten stops a thousandth of a
-/// stop.
+/// Relative error, in the energy norm of the Laplacian, at which the solver stops. For a range of ten stops it is a
+/// thousandth of a stop.
 const TOLERANCE: f64 = 1e-4;
 
-/// Largest number of steps; about ten are needed.
+/// Largest number of iterations; about ten are needed.
 const MOST_STEPS: usize = 40;
 
-/// Returns the picture whose differences to the right neighbours are nearest to `right`, and to the lower neighbours
-/// nearest to `down`, by least squares. The last column of `right` and the last row of `down` are ignored.
+/// Returns the picture whose differences are nearest to the given ones by least squares. `right` holds the differences
+/// to the right neighbours, `down` those to the lower neighbours. The last column of `right` and the last row of `down`
+/// are ignored.
 pub fn integrated(right: &Plane<f32>, down: &Plane<f32>) -> Plane<f32> {
     let divergence = divergence(right, down);
     let grid = Multigrid::new((right.width(), right.height()));
@@ -33,8 +34,9 @@ pub fn integrated(right: &Plane<f32>, down: &Plane<f32>) -> Plane<f32> {
     Plane::from_vec(picture.width(), picture.height(), centred)
 }
 
-/// Applies the transpose of taking differences (negative divergence). Returns for each cell the differences from its
-/// left and upper neighbours less those to its right and lower neighbours.
+/// Returns the negative divergence, which is the transpose of taking differences. For each cell, this is the sum of the
+/// differences from its left and upper neighbours to the cell, minus the sum of the differences from the cell to its
+/// right and lower neighbours.
 pub fn divergence(right: &Plane<f32>, down: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (right.width(), right.height());
     Plane::from_rows(width, height, |y, row| {
@@ -52,9 +54,9 @@ pub fn divergence(right: &Plane<f32>, down: &Plane<f32>) -> Plane<f32> {
 
 /// Solves `apply`(x) = `right` by preconditioned conjugate gradients.
 ///
-/// `apply` must be symmetric and positive semidefinite, `precondition` a symmetric approximation of its inverse. Stops
-/// when the residual, in the norm of `precondition`, is below `tolerance` times the residual at the start, or after
-/// `most` steps.
+/// `apply` must be symmetric and positive semidefinite, and `precondition` must be a symmetric approximation of the
+/// inverse of `apply`. Stops when the residual, in the norm of `precondition`, is below `tolerance` times the residual
+/// at the start, or after `most` steps.
 pub fn conjugate_gradients(
     right: &Plane<f32>,
     apply: impl Fn(&Plane<f32>) -> Plane<f32>,
@@ -113,11 +115,11 @@ fn sum(plane: &Plane<f32>) -> f64 {
 struct Axis {
     /// Width of each cell of this grid, in units of a cell of the finest grid.
     widths: Vec<f32>,
-    /// For the border before each cell and after the last cell: the reciprocal of the distance between the adjacent
-    /// centres; 0 at both ends.
+    /// One entry for each border of cells, from the start of the axis to its end: the reciprocal of the distance
+    /// between the centres on the two sides of the border. The entries of the two ends are 0.
     links: Vec<f32>,
-    /// A cell is interpolated between two cells of the next coarser grid, the first of which has half its index. For
-    /// each cell, the index and the weight of the second.
+    /// Cell i is interpolated between two cells of the next coarser grid: cell i / 2 and one neighbour of it. For each
+    /// cell, this is the index and the weight of that neighbour.
     others: Vec<(usize, f32)>,
 }
 
@@ -145,8 +147,8 @@ impl Axis {
         widths.chunks(2).map(|pair| pair.iter().sum()).collect()
     }
 
-    /// Returns the fine cells that contribute to the coarse cell `at`, with their weights: the transpose of
-    /// interpolation.
+    /// Returns indices and weights of the cells of this grid that contribute to cell `at` of the next coarser grid.
+    /// This is the transpose of interpolation.
     fn children(&self, at: usize) -> impl Iterator<Item = (usize, f32)> {
         let first = (2 * at).saturating_sub(1);
         (first..(2 * at + 3).min(self.widths.len())).filter_map(move |i| {
@@ -177,13 +179,14 @@ struct Level {
     rows: Axis,
 }
 
-/// A grid and ever coarser ones, from fine to coarse.
+/// A grid and a sequence of ever coarser grids; the finest is the first.
 #[derive(Debug, Clone)]
 pub struct Multigrid {
     levels: Vec<Level>,
 }
 
-/// Damping of the Jacobi steps: the best factor against errors that alternate from cell to cell.
+/// Damping of the Jacobi steps. On a uniform grid in two dimensions, 0.8 is the best factor against oscillating errors,
+/// which coarser grids cannot represent: each step reduces all of them to 0.6 or less.
 const DAMPING: f32 = 0.8;
 
 impl Multigrid {
@@ -205,14 +208,15 @@ impl Multigrid {
         self.levels[0].combined(plane, |laplacian, _, _| laplacian)
     }
 
-    /// Approximately inverts [`laplacian`](Self::laplacian) by one V-cycle: symmetric, with an error of about a tenth.
+    /// Approximates the inverse of [`laplacian`](Self::laplacian) by one V-cycle. The approximation is symmetric and
+    /// has a relative error of about a tenth.
     pub fn cycle(&self, right: &Plane<f32>) -> Plane<f32> {
         cycle(&self.levels, right)
     }
 }
 
-/// Computes one V-cycle over `levels`, starting from 0, with two smoothing steps before and two after the coarser
-/// grids.
+/// Computes one V-cycle over `levels`, starting from 0, with two smoothing steps before the correction by the coarser
+/// grids and two after it.
 fn cycle(levels: &[Level], right: &Plane<f32>) -> Plane<f32> {
     let ([level, coarser @ ..], true) = (levels, levels.len() > 1) else {
         // A single cell has no differences.
@@ -228,7 +232,8 @@ fn cycle(levels: &[Level], right: &Plane<f32>) -> Plane<f32> {
 }
 
 impl Level {
-    /// Computes `combine`(Laplacian, diagonal, index) for every cell of `plane`.
+    /// Calls `combine` for every cell of `plane` with the negative Laplacian, the diagonal element of its matrix and
+    /// the index of the cell. Returns the results.
     fn combined(&self, plane: &Plane<f32>, combine: impl Fn(f32, f32, usize) -> f32 + Sync) -> Plane<f32> {
         let (width, height) = (plane.width(), plane.height());
         let links = &self.columns.links;
@@ -292,7 +297,7 @@ impl Level {
         })
     }
 
-    /// Adds `coarse`, interpolated between its centres, to `fine`.
+    /// Adds `coarse`, interpolated between the centres of its cells, to `fine`.
     fn add_interpolated(&self, fine: &mut Plane<f32>, coarse: &Plane<f32>) {
         let width = fine.width();
         fine.fill_bands(|rows, band| {
@@ -325,8 +330,8 @@ mod tests {
         Plane::from_vec(width, height, values.collect())
     }
 
-    /// Returns the expected picture: the solution of the normal equations of all differences, dense, in `f64`. A term
-    /// of rank one holds the mean at 0.
+    /// Returns the expected picture: the normal equations of all differences, solved in `f64` with a dense matrix. The
+    /// 1 that is added to every element of the matrix makes the mean 0.
     fn dense(right: &Plane<f32>, down: &Plane<f32>) -> Vec<f64> {
         let (w, h) = (right.width(), right.height());
         let mut matrix = nalgebra::DMatrix::<f64>::from_element(w * h, w * h, 1.0);
@@ -349,8 +354,8 @@ mod tests {
         matrix.cholesky().unwrap().solve(&vector).iter().copied().collect()
     }
 
-    /// Gradients that are those of no picture, on odd, even and thin grids. The tolerance is 1e-4 of values of a few
-    /// units.
+    /// The gradients do not belong to any picture; the grids are odd, even and thin. The solver's tolerance is 1e-4,
+    /// relative to values of a few units.
     #[test]
     fn solution_minimises_the_squares() {
         for (w, h) in [(1, 1), (2, 3), (1, 17), (16, 16), (21, 13), (3, 30), (25, 24)] {
@@ -362,7 +367,7 @@ mod tests {
         }
     }
 
-    /// The differences of a picture give that picture, on grids too large for the dense oracle.
+    /// The differences of a picture give that picture, on grids that are too large for the dense solution.
     #[test]
     fn the_differences_of_a_picture_are_that_picture() {
         for (w, h) in [(257, 190), (300, 2), (511, 333)] {
@@ -393,9 +398,10 @@ mod tests {
             let grid = Multigrid::new(size);
             let (a, b) = (noise(size.0, size.1, 3), noise(size.0, size.1, 4));
             let (ab, ba) = (dot(&a, &grid.cycle(&b)), dot(&b, &grid.cycle(&a)));
-            // The tolerance covers single precision: sums of up to 4000 products of values up to some tens.
+            // The tolerance covers the rounding of the cycle to `f32`, in sums of up to 4000 products of values up to
+            // some tens.
             assert!((ab - ba).abs() < 1e-3 * dot(&a, &grid.cycle(&a)), "{ab} {ba}");
-            // One cycle leaves at most a fifth of the error in the norm of the operator, whose square is compared:
+            // One cycle leaves at most a fifth of the error in the energy norm. The squares of the norms are compared:
             // 0.2^2 = 0.04.
             let right = grid.laplacian(&a);
             let mut error = grid.cycle(&right);

@@ -1,17 +1,19 @@
 //! A small quadratic program: minimises a quadratic form over non-negative numbers with a bounded sum.
 //!
-//! In: a positive definite matrix, a vector, a bound. Out: the minimum. Cost: about n steps of n^3 / 6.
-//! Source: Nocedal & Wright, "Numerical Optimization" (2006), section 16.5, algorithm 16.3 (active sets).
+//! In: a positive definite matrix, a vector, and the bound of the sum. Out: the vector at the minimum. Cost: for n
+//! numbers, about n steps of n^3 / 6 operations each. Source: Nocedal & Wright, "Numerical Optimization" (2006),
+//! section 16.5, algorithm 16.3 (active sets).
 
-/// Returns the x >= 0 with sum x <= `most` that minimises x' H x / 2 - f' x; `h` is symmetric and positive definite, by
-/// rows.
+/// Returns the x >= 0 with sum x <= `most` that minimises x' H x / 2 - f' x, where ' marks the transpose. `h` holds the
+/// rows of H, which is symmetric and positive definite.
 pub(crate) fn minimum(h: &[Vec<f64>], f: &[f64], most: f64) -> Vec<f64> {
     let n = f.len();
     let mut x = vec![0.0f64; n];
     let mut is_free = vec![false; n];
     let mut is_full = false;
     let scale = f.iter().fold(1e-300f64, |a, v| a.max(v.abs()));
-    // Each step frees or binds one variable; the limit stops cycling caused by rounding.
+    // Each step adds or removes one active constraint. The limit on the number of steps stops cycles caused by
+    // rounding.
     for _ in 0..20 * n + 20 {
         let free: Vec<usize> = (0..n).filter(|&i| is_free[i]).collect();
         let Some((target, multiplier)) = on_free(h, f, &free, is_full.then_some(most)) else { break };
@@ -40,7 +42,7 @@ pub(crate) fn minimum(h: &[Vec<f64>], f: &[f64], most: f64) -> Vec<f64> {
         } else if is_full && multiplier < -1e-12 * scale {
             is_full = false;
         } else {
-            // Free the bound variable with the steepest descent.
+            // Free the variable, of those held at 0, along which the form decreases fastest.
             let slope = |i: usize| h[i].iter().zip(&x).map(|(a, x)| a * x).sum::<f64>() - f[i] + multiplier;
             let bound = (0..n).filter(|&i| !is_free[i]).map(|i| (slope(i), i));
             match bound.min_by(|a, b| a.0.total_cmp(&b.0)) {
@@ -52,8 +54,8 @@ pub(crate) fn minimum(h: &[Vec<f64>], f: &[f64], most: f64) -> Vec<f64> {
     x
 }
 
-/// Returns the minimum over the variables `free`, where the other variables are 0 and, if `sum` is given, the sum is
-/// `sum`; and the Lagrange multiplier of the sum.
+/// Returns the minimum over the variables `free`, with all other variables at 0, and the Lagrange multiplier of the
+/// sum. If `sum` is given, the variables are constrained to this sum; otherwise the multiplier is 0.
 fn on_free(h: &[Vec<f64>], f: &[f64], free: &[usize], sum: Option<f64>) -> Option<(Vec<f64>, f64)> {
     let factor = cholesky(&free.iter().map(|&i| free.iter().map(|&j| h[i][j]).collect()).collect::<Vec<Vec<f64>>>())?;
     let mut x = solved(&factor, &free.iter().map(|&i| f[i]).collect::<Vec<f64>>());
@@ -83,7 +85,7 @@ fn cholesky(a: &[Vec<f64>]) -> Option<Vec<Vec<f64>>> {
     Some(l)
 }
 
-/// Returns the solution of L L' x = `right`.
+/// Returns the solution x of L L' x = `right`, where `l` is the lower triangle L and L' its transpose.
 fn solved(l: &[Vec<f64>], right: &[f64]) -> Vec<f64> {
     let mut x = right.to_vec();
     for i in 0..x.len() {
@@ -101,7 +103,8 @@ fn solved(l: &[Vec<f64>], right: &[f64]) -> Vec<f64> {
 mod tests {
     use super::*;
 
-    /// Random programs: the minimum meets the Karush-Kuhn-Tucker conditions, which are sufficient for a convex program.
+    /// For random programs, the result meets the Karush-Kuhn-Tucker conditions, which are sufficient for a convex
+    /// program.
     #[test]
     fn the_conditions_of_a_minimum_hold() {
         let mut state = 7u32;

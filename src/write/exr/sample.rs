@@ -1,4 +1,4 @@
-//! Half or float: the sample type of an OpenEXR file, and how well half floats represent the radiance.
+//! The sample type of an OpenEXR file, half or float, and how well half floats represent the radiance.
 //!
 //! In: linear RGB by rows. Out: a [`Sample`]. Cost: one pass over the values.
 
@@ -20,13 +20,13 @@ pub enum Sample {
     Float,
 }
 
-/// Below this the steps of a half, 2^-24, are more than a hundredth of the value.
+/// Below this value, the step of a half float, 2^-24, is more than 1 % of the value.
 const HALF_FINE: f32 = 6e-6;
 
 impl Sample {
-    /// Returns the sample type for a picture with this `fit`: for [`Auto`](Self::Auto) floats if a value is above
-    /// 65504, or if more than one in a thousand is below 6e-6, so that rounding to a half has an error of more than
-    /// half a percent; otherwise halves.
+    /// Returns the sample type for a radiance map with this `fit`. [`Auto`](Self::Auto) becomes floats if a value is
+    /// above 65504, or if more than one value in a thousand is below 6e-6, where rounding to a half float can change
+    /// the value by more than 0.5 %. Otherwise it becomes half floats. The other sample types are returned unchanged.
     pub fn settled(self, fit: Fit) -> Sample {
         match self {
             Sample::Auto if fit.over > 0 || fit.fine > fit.values / 1000 => Sample::Float,
@@ -36,7 +36,7 @@ impl Sample {
     }
 }
 
-/// How well halves represent a picture, counted by rows.
+/// Counts of values that show how well half floats represent a radiance map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Fit {
     /// Number of values above the largest half, 65504.
@@ -67,7 +67,8 @@ impl Loops for Count<'_> {
     #[inline(always)]
     fn run(self) -> Fit {
         let mut fit = Fit { over: 0, fine: 0, values: self.0.len() as u64 };
-        // Counters as wide as the values fill complete vectors; they do not overflow for 2^20 values.
+        // The counters have 32 bits like the values, so that they fill complete SIMD vectors. They do not overflow
+        // for 2^20 values.
         for part in self.0.chunks(1 << 20) {
             let (mut over, mut fine) = (0u32, 0u32);
             for &v in part {
@@ -96,7 +97,7 @@ mod tests {
         sun.row_mut(69)[29][1] = 65520.0;
         assert_eq!(settled(sun.clone()), Sample::Float);
         assert_eq!(Sample::Half.settled(fit(&sun)), Sample::Half);
-        // A few dark values do not matter.
+        // A few dark values do not require floats.
         sun.row_mut(69)[29] = [1e-9; 3];
         assert_eq!(settled(sun), Sample::Half);
     }

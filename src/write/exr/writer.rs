@@ -27,7 +27,8 @@ pub struct Writer {
     bands: Bands<[f32; 3], Scratch>,
     header: Header,
     sample: Sample,
-    /// Position of the offset table, and its entries: the position of every block so far.
+    /// Position of the offset table in the file, and its entries (`offsets`): the position of every block that is
+    /// written.
     table: u64,
     offsets: Vec<u64>,
     at: u64,
@@ -176,7 +177,7 @@ struct Scratch {
     planes: Vec<u16>,
 }
 
-/// Appends the blocks of one band; its 64 rows are two blocks of PIZ, or four of ZIP.
+/// Encodes one band and appends its blocks. The 64 rows of a band are two blocks of PIZ, or four blocks of ZIP.
 fn encode_band(
     first: usize,
     pixels: &[[f32; 3]],
@@ -191,7 +192,7 @@ fn encode_band(
     let mut over = 0;
     let blocks = pixels.chunks(rows * width).enumerate().map(|(i, block)| {
         let (start, y, size) = (out.len(), first + i * rows, (width, block.len() / width));
-        // The validation of the header has rejected sides of 2^31.
+        // The cast is exact, because the validation of the header has rejected sides of 2^31 pixels or more.
         out.extend_from_slice(&(y as i32).to_le_bytes());
         out.extend_from_slice(&[0; 4]);
         let words = if sample == Sample::Half { 1 } else { 2 };
@@ -221,8 +222,8 @@ fn encode_band(
     (blocks, over)
 }
 
-/// Returns the planes as rows, each with all values of B, then of G, then of R, in the byte order of the machine, as
-/// the crate expects.
+/// Returns the planes as rows, as the crate expects them: each row has all values of B, then of G, then of R, in the
+/// byte order of the machine.
 fn plain(planes: &[u16], width: usize, words: usize) -> Vec<u8> {
     let size = planes.len() / (3 * words);
     let mut out = vec![0; 2 * planes.len()];
@@ -270,7 +271,8 @@ mod tests {
         })
     }
 
-    /// Writes in portions of `portion` rows; returns the bytes and the picture that is read back.
+    /// Writes a file in portions of `portion` rows. Returns its bytes, the warnings, and the map and metadata read
+    /// from it.
     fn written(
         picture: &Plane<[f32; 3]>,
         metadata: &Metadata,
@@ -331,7 +333,8 @@ mod tests {
         assert!(table.is_sorted() && table[0] > 0 && *table.last().unwrap() < one.len() as u64);
     }
 
-    /// Returns the offset table, which is before the first block, to which its first entry points.
+    /// Returns the offset table. It is directly before the first block, and its first entry is the position of that
+    /// block; the table is found by this property.
     fn offsets(bytes: &[u8], blocks: usize) -> Vec<u64> {
         let entry = |at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap());
         let start = (8..bytes.len() - 8).find(|&at| entry(at) == (at + 8 * blocks) as u64).unwrap();

@@ -1,30 +1,31 @@
-//! The gain map: by how much every pixel of the picture is brightened, channel by channel, to obtain the radiance.
+//! The gain map: for every pixel and channel, the gain that turns the light of the picture into the radiance.
 //!
 //! In: radiance, and the codes of the picture. Out: a [`Rendition`], which describes how an HDR display shows
 //! radiance, and the codes of the map. Cost: reading 200,000 pixels; then 5 ns per pixel and core. Source: ISO
 //! 21496-1:2025, clauses 5 and 6; Google, "Ultra HDR Image Format v1.1" (gain map generation); Adobe, "Gain Map"
 //! (2023).
 //!
-//! The HDR rendition is the radiance itself, linear and in the primaries of the picture (sRGB's or Display P3's),
-//! with a white for which it agrees with the picture in the mid-tones. So mid-tones keep their brightness on any
-//! display, highlights rise above white as in the scene, by up to 6 stops, and shadows are darker than the picture by
-//! up to 10 stops. A display with a smaller range applies the map in part.
+//! The HDR rendition, which a display shows if it applies the full map, is the radiance itself, linear and in the
+//! primaries of the picture (sRGB's or Display P3's). Its white is chosen so that rendition and picture agree in the
+//! mid-tones. So mid-tones have the same brightness on any display. Highlights are brighter than white as in the
+//! scene, by up to 6 stops. Shadows may be darker than in the picture, by up to 10 stops. A display with a smaller
+//! range applies the map in part.
 //!
-//! The three channels have the same range: readers of the older metadata support no other (libultrahdr refuses to
-//! write one), and grey stays grey when the map is compressed.
+//! The three channels share one range of gains, for two reasons. Readers of the older metadata support only a common
+//! range (libultrahdr refuses to write different ranges), and grey stays grey when the map is compressed.
 
 use crate::bracket::colour::{Conversion, Primaries, srgb_to_linear};
 use crate::plane::BAND_ROWS;
 use crate::tonemap::display::codes::Colours;
 
-/// Added to both values before the ratio, so that black has a ratio. A smaller offset represents shadows more exactly,
-/// and uses more of the map's range.
+/// A gain is the ratio of the radiance to the light of the picture. This offset is added to both, so that the ratio
+/// is defined for black. A smaller offset represents shadows more exactly, but uses more of the map's range.
 pub const OFFSET: f64 = 1.0 / 1024.0;
 
 /// Largest brightness above white, in stops; no display has more.
 pub const MOST_STOPS: f64 = 6.0;
 
-/// Largest darkening relative to the picture, in stops; darker radiance is black on any display.
+/// Largest darkening of the picture by the map, in stops; darker radiance is black on any display.
 pub(super) const MOST_FALL: f64 = 10.0;
 
 /// Gains and headroom are multiples of 1 / `GRAIN` stops, so that the decimals in the XMP and the fractions in the ISO
@@ -56,10 +57,10 @@ impl Resolution {
     }
 }
 
-/// How an HDR display shows radiance, and the range of the map for it.
+/// How an HDR display shows radiance, and the range of the gains in the map.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rendition {
-    /// The radiance that is shown as the white of the picture, in the unit of the rows.
+    /// The radiance that is shown as the white of the picture, in the unit of the radiance map.
     pub white: f32,
     /// The smallest gain in the map, in stops.
     pub least_stops: f64,
@@ -77,8 +78,9 @@ impl Default for Rendition {
 }
 
 impl Rendition {
-    /// Returns the JPEG quality of the map: higher if a code of the map covers more stops, so that the error in stops
-    /// is about the same. Measured: 97 % or more of the pixels in range are within 0.1 stop.
+    /// Returns the JPEG quality of the map. It is higher if the map has a larger range, so that a code value covers
+    /// more stops; the error in stops is then about the same for all maps. Measured: at least 97 % of the pixels
+    /// within the range have an error of at most 0.1 stop.
     pub(super) fn map_quality(&self) -> u8 {
         let range = self.most_stops - self.least_stops;
         (100.0 - 11.0 / range.max(0.1)).round().clamp(90.0, 99.0) as u8
@@ -90,8 +92,8 @@ impl Rendition {
 pub(super) struct ToBase(Option<Conversion>);
 
 impl ToBase {
-    /// Creates the conversion from `primaries` to those of `colours`: none if both are the same to three places, or if
-    /// `primaries` are not valid.
+    /// Creates the conversion from `primaries` to those of `colours`. Nothing is converted if both are equal within
+    /// 0.001, or if `primaries` are not valid.
     pub(super) fn of(primaries: &Primaries, colours: Colours) -> Self {
         let is_same = primaries.is_close(&colours.primaries(), 1e-3);
         ToBase(Conversion::between(primaries, &colours.primaries()).filter(|_| !is_same))
@@ -109,7 +111,7 @@ pub(super) fn lit(v: f32) -> f32 {
     if v > 0.0 { v } else { 0.0 }
 }
 
-/// Returns the light `v * scale`, relative to white, limited to the range of the gain map: 0 to 64, which is 6 stops
+/// Returns the light `v * scale`, where 1 is white, limited to the range of the gain map: 0 to 64, which is 6 stops
 /// above white.
 #[inline(always)]
 pub(super) fn shown(v: f32, scale: f32) -> f32 {
@@ -134,18 +136,19 @@ impl Base {
     }
 }
 
-/// Number of low bits of a float that are dropped for the table of logarithms: 512 cells per octave, so the middle of a
-/// cell is within about 1/1000 stop of its values.
+/// The table of logarithms ignores this number of low bits of a float. It has 512 cells per octave, so the middle of
+/// a cell differs from every value in the cell by about 1/1000 stop at most.
 const CELL_BITS: u32 = 14;
 
 /// Converts radiance and codes to codes of the map.
 pub(super) struct Gains {
     to_base: ToBase,
     scale: f32,
-    /// For each cell (upper bits of the sum of light and offset), from that of black on: log2 of the sum, in codes of
-    /// the map.
+    /// For each cell (the upper bits of light plus offset), beginning with the cell of black: log2 of light plus
+    /// offset, in code values of the map.
     of_light: Vec<f32>,
-    /// For each code: log2 of the sum of its light and the offset, plus the smallest gain, in codes of the map.
+    /// For each code value of the picture: log2 of its light plus offset, plus the smallest gain, in code values of
+    /// the map.
     of_code: [f32; 256],
 }
 
@@ -195,7 +198,8 @@ impl Gains {
                 for (row, shown) in rows.chunks(width).zip(shown.chunks(width)) {
                     let across = x..(x + step).min(width);
                     for (&p, &q) in row[across.clone()].iter().zip(&shown[across]) {
-                        // Values out of range must not dominate their neighbours.
+                        // Gains are limited to the range of the map before they are averaged, so that extreme gains
+                        // do not dominate the mean.
                         let gain = self.of(p, q).map(|g| if g > 0.0 { if g < 255.0 { g } else { 255.0 } } else { 0.0 });
                         sum = std::array::from_fn(|c| sum[c] + gain[c]);
                         count += 1.0;
@@ -208,7 +212,8 @@ impl Gains {
     }
 }
 
-/// Number of rows of the picture per strip: a strip of the map has complete blocks of eight rows at any resolution.
+/// Number of rows of the picture per strip, 64. A strip of the map has 64 or 32 rows, which are complete blocks of
+/// eight rows.
 pub(super) const STRIP_ROWS: usize = BAND_ROWS;
 
 #[cfg(test)]
@@ -248,10 +253,11 @@ mod tests {
     fn the_mid_tones_agree_and_the_highlights_rise() {
         let (radiance, shown) = scene();
         let found = rendition(&radiance, &shown, None);
-        // At the darkest mid-tone, a step of one code is 2.6 % of the light.
+        // The tolerance is 3 %: at the darkest mid-tone, a step of one code value is 2.6 % of the light.
         assert!((found.white / 40.0 - 1.0).abs() < 0.03, "{found:?}");
-        // The peak is 2.5 times white, and its last 0.2 % is not counted. Gains are 0 and 2 stops, except for the
-        // rounding of codes from 8 on (6 % of the light at code 8).
+        // The peak is 2.5 times white; the brightest 0.2 % of the pixels are not counted. The gains are 0 and 2
+        // stops, except for the rounding of code values. Code values below 8 are not counted, and at 8 the rounding
+        // is 6 % of the light.
         assert!((found.headroom_stops - libm::log2(2.5)).abs() < 0.1, "{found:?}");
         assert!((found.most_stops - 2.0).abs() < 0.15 && found.least_stops.abs() < 0.15, "{found:?}");
         for stops in [found.most_stops, found.least_stops, found.headroom_stops] {
@@ -275,8 +281,8 @@ mod tests {
         }
     }
 
-    /// The expected codes are from the formula of the standard in double precision; the error of the table is 1/1000
-    /// stop, far below half a code.
+    /// The expected codes are computed with the formula of ISO 21496-1 in double precision. The table of logarithms
+    /// has an error of 1/1000 stop, which is far below half a code value of the map.
     #[test]
     fn codes_are_those_of_the_formula() {
         let (radiance, shown) = scene();

@@ -3,12 +3,12 @@
 //!
 //! In: radiance and the picture, by rows. Out: one file with two JPEGs: the picture with GContainer XMP, the ISO
 //! version block and the multi-picture index; and the map with its parameters as XMP and as the ISO block. Cost: 35
-//! ns per pixel and core. Memory: both encoded pictures, about two bytes per pixel, because the header of the file
-//! contains their sizes. Source: Google, "Ultra HDR Image Format v1.1"; ISO 21496-1:2025, annex C; CIPA DC-007 (MPF),
-//! sections 5.2 and A.2; libultrahdr, the layout described at `JpegR::appendGainMap`.
+//! ns per pixel and core. Memory: the encoded picture and the encoded map, about two bytes per pixel, because the
+//! header of the file contains their sizes. Source: Google, "Ultra HDR Image Format v1.1"; ISO 21496-1:2025, annex C;
+//! CIPA DC-007 (MPF), sections 5.2 and A.2; libultrahdr, the layout described at `JpegR::appendGainMap`.
 //!
-//! Gains are relative to the decoded JPEG, not to the original picture, so that the map corrects the losses of the
-//! JPEG.
+//! Gains are computed from the pixels of the decoded JPEG, not of the original picture, so that the map also corrects
+//! the losses of the JPEG.
 
 mod gain_map;
 mod strips;

@@ -3,8 +3,8 @@
 //! In: rows of codes. Out: a baseline JPEG. Cost: 15 ns per pixel and core. Source: ITU-T T.81, annex B (markers),
 //! E.1.4 (restart intervals), K.3 (the Huffman tables); JFIF 1.02. Pictures are encoded by the `jpeg-encoder` crate.
 //!
-//! Strips are encoded in parallel as separate pictures, and the data of each becomes one restart interval of the
-//! file: the same bytes on any number of threads.
+//! Strips are encoded in parallel as separate pictures, and the data of each strip become one restart interval of the
+//! file. So the bytes are the same on any number of threads.
 
 use crate::bracket::colour::Profile;
 use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
@@ -46,9 +46,10 @@ impl Strip {
         Ok(Strip { bytes, tables, data })
     }
 
-    /// Returns the pixels that a reader of the file decodes: the same on any processor.
+    /// Returns the pixels that a reader of the file decodes. They are the same on any processor.
     pub(super) fn decoded(&self) -> io::Result<Vec<u8>> {
-        // `new_safe` decodes without vector instructions. This takes the same time, because entropy coding dominates.
+        // `new_safe` decodes without vector instructions. This takes the same time, because most of the time is spent
+        // on entropy decoding.
         let options = DecoderOptions::new_safe()
             .set_strict_mode(true)
             .set_max_width(usize::from(u16::MAX))
@@ -90,7 +91,7 @@ pub(super) const APP2: u8 = 0xE2;
 /// Appends a segment with the marker code `code` and the content `parts`, one after the other.
 ///
 /// # Errors
-/// If it would be longer than the format allows.
+/// An error if the segment would be longer than the format allows.
 pub(super) fn put_segment(code: u8, parts: &[&[u8]], out: &mut Vec<u8>) -> io::Result<()> {
     let length = 2 + parts.iter().map(|part| part.len()).sum::<usize>();
     let length = u16::try_from(length).map_err(|_| io::Error::other("a JPEG segment has at most 65533 bytes"))?;
@@ -157,7 +158,8 @@ impl Strips {
         let mut head = vec![0xFF, SOI];
         head.extend_from_slice(segments);
         head.extend_from_slice(&self.tables);
-        // Three components, not subsampled; the first with the first tables, the others with the second.
+        // Three components, not subsampled. The first component uses the first tables, the other two use the second
+        // tables.
         let components = [1, 0x11, 0, 2, 0x11, 1, 3, 0x11, 1];
         put_segment(SOF0, &[&[8], &height.to_be_bytes(), &width.to_be_bytes(), &[3], &components], &mut head)?;
         put_segment(DRI, &[&interval.to_be_bytes()], &mut head)?;
@@ -181,7 +183,8 @@ mod tests {
         })
     }
 
-    /// The decoded pixels of the strips are those that a reader of the file decodes: the map is made for them.
+    /// The decoded pixels of the strips must be those that a reader of the file decodes, because the gain map is
+    /// computed from the decoded strips.
     #[test]
     fn another_decoder_reads_the_strips() {
         for (width, height) in [(1, 1), (9, 64), (50, 65), (131, 64 * 11 + 9)] {

@@ -10,7 +10,7 @@ use crate::tonemap::display::codes::Colours;
 use crate::tonemap::display::luminance;
 use rayon::prelude::*;
 
-/// Approximate number of pixels that are read.
+/// Largest number of pixels that are sampled, approximately.
 const SEEN: usize = 200_000;
 
 /// Samples of the radiance and the picture.
@@ -77,7 +77,7 @@ impl Survey {
             sorted.get(place).copied().map_or(0.0, f64::from)
         };
         let least = (at(&gains, 0.001) * GRAIN).floor() / GRAIN;
-        // A few very bright pixels must not reduce the precision of all others.
+        // A few very bright pixels must not reduce the precision of all other pixels.
         let most = (at(&gains, 0.9999) * GRAIN).ceil() / GRAIN;
         // The range must not be 0, because it is a divisor.
         let least = least.clamp(-MOST_FALL, 0.0) + 0.0;
@@ -114,10 +114,10 @@ impl Survey {
     }
 }
 
-/// Range of luminance of the mid-tones of the picture, about codes 63 to 188.
+/// Luminance of the mid-tones of the picture, where 1 is white: about code values 63 to 188.
 const MIDDLE: std::ops::RangeInclusive<f32> = 0.05..=0.5;
 
-/// Smallest code whose gain counts for the range of the map.
+/// Smallest code value of the picture whose gain is used to determine the range of the map.
 const LEAST_CODE: u8 = 8;
 
 /// Smallest headroom in stops; not 0, because readers divide by it.

@@ -32,7 +32,8 @@ pub(super) fn index(first: usize, second: usize, offset: usize) -> io::Result<Ve
     out.extend_from_slice(b"\xB0\x01\0\x04\0\0\0\x01\0\0\0\x02");
     out.extend_from_slice(b"\xB0\x02\0\x07\0\0\0\x20\0\0\0\x32");
     out.extend_from_slice(&[0; 4]);
-    // The first is the representative image, a baseline primary image; the standard has no type for the second.
+    // The first image is the representative image and has the type "baseline primary image". The MPF standard has no
+    // type for the second image, the gain map.
     for (kind, size, offset) in [([0, 3, 0, 0], first, 0), ([0; 4], second, offset)] {
         out.extend_from_slice(&kind);
         out.extend_from_slice(&four(size)?);
@@ -70,7 +71,7 @@ fn packet(software: &str, description: &str) -> String {
     )
 }
 
-/// Returns the XMP of the picture: the existence and the length of the gain map.
+/// Returns the XMP of the picture, which states that a gain map of `map_size` bytes follows.
 pub(super) fn primary_xmp(map_size: usize, software: &str) -> String {
     let item = |semantic: &str, length: String| {
         format!(

@@ -29,7 +29,7 @@ pub struct Writer {
     shown: Vec<[u8; 3]>,
 }
 
-/// The part of the map so far.
+/// The part of the gain map that has been encoded so far, and how to encode the rest.
 struct Map {
     gains: Gains,
     rendition: Rendition,

@@ -1,4 +1,4 @@
-//! Masks: 8-bit grey PNG.
+//! Writes masks as 8-bit grey PNG.
 //!
 //! In: a plane of bytes. Out: a PNG, for people and programs; the values are not light, so the PNG has no colour space.
 //! Cost: about 10 ns per pixel. Source: PNG (3rd ed., W3C 2025), section 11.2.1 (colour type 0).
@@ -10,7 +10,7 @@ use crate::write::staging::{Pending, Written};
 use std::io::{self, Write};
 use std::path::Path;
 
-/// Checks that a mask can be written to `path` by its extension, and that there is a mask (`is_one`).
+/// Checks that `path`, if given, has the extension of a PNG, and that there is a mask (`is_one`).
 ///
 /// # Errors
 /// [`Error::UnknownExtension`]; [`Error::Option`] if motion is not detected, so that there is no mask.
@@ -47,7 +47,7 @@ fn encode(mask: &Plane<u8>) -> io::Result<Vec<u8>> {
     let mut encoder = png::Encoder::new(&mut bytes, side(mask.width())?, side(mask.height())?);
     encoder.set_color(png::ColorType::Grayscale);
     encoder.set_depth(png::BitDepth::Eight);
-    // The name of the program keeps hdralign from reading the mask as a photograph.
+    // Because of the name of the program in the file, hdralign does not read the mask as a photograph.
     encoder.add_text_chunk("Software".into(), Metadata::default().software)?;
     let mut writer = encoder.write_header()?;
     writer.write_image_data(mask.as_slice())?;

@@ -15,7 +15,7 @@ use flate2::write::ZlibEncoder;
 use flate2::{Compression, Crc};
 use std::io::{self, Write};
 
-/// Type of the codes of a picture that PNG supports.
+/// Type of code values that PNG supports.
 pub trait Sample: crate::write::tiff::Sample {
     /// Returns the bytes of `pixels`, high bytes first; in `buffer` if they have to be converted.
     fn bytes<'a>(pixels: &'a [[Self; 3]], buffer: &'a mut Vec<u8>) -> &'a [u8];
@@ -35,7 +35,7 @@ impl Sample for u16 {
     }
 }
 
-/// Buffers of an encoder: the bytes of the codes, and the filtered rows.
+/// Buffers of an encoder: the bytes of the code values, and the filtered rows.
 type Buffers = (Vec<u8>, Vec<u8>);
 
 /// The `.png` writer for pixels `[T; 3]`.
@@ -78,7 +78,7 @@ impl<T: Sample> RowWriter<[T; 3]> for Writer<T> {
 
     fn finish(mut self: Box<Self>) -> Result<Written> {
         self.bands.complete().map_err(|e| self.file.error(e))?;
-        // The stream of the bands ends with the checksum of all bands.
+        // All bands form one zlib stream, which ends with the checksum of all bands.
         let mut end = Vec::new();
         put_chunk(b"IDAT", &self.adler.sum().to_be_bytes(), &mut end);
         put_chunk(b"IEND", &[], &mut end);
@@ -100,12 +100,12 @@ fn header((width, height): (usize, usize), bits: u8, metadata: &Metadata, colour
     // RGB, deflate, adaptive filters, not interlaced.
     put_chunk(b"IHDR", &[&side(width)?[..], &side(height)?, &[bits, 2, 0, 0, 0]].concat(), &mut out);
     if colours == Colours::DisplayP3 {
-        // Primaries of SMPTE EG 432-1, sRGB's transfer function, RGB, full range (ITU-T H.273); readers that do not
-        // know cICP use the profile.
+        // The four bytes mean (ITU-T H.273): primaries of SMPTE EG 432-1, sRGB's transfer function, RGB, full range.
+        // Readers that do not know cICP use the profile.
         put_chunk(b"cICP", &[12, 13, 0, 1], &mut out);
     }
     match &metadata.profile {
-        // Perceptual intent, which is for photographs.
+        // 0 is the perceptual intent, which is for photographs.
         None => put_chunk(b"sRGB", &[0], &mut out),
         Some(profile) => {
             let mut icc = ZlibEncoder::new(b"ICC\0\0".to_vec(), Compression::default());
@@ -208,7 +208,8 @@ impl<const PIXEL: usize> Loops for Filter<'_, PIXEL> {
     }
 }
 
-/// Returns left, above or above left, whichever is closest to left + above - above left (section 9.4).
+/// Returns `a` (the byte on the left), `b` (above) or `c` (above left), whichever is closest to a + b - c (section
+/// 9.4).
 #[inline(always)]
 fn paeth(a: u8, b: u8, c: u8) -> u8 {
     let [i, j, k] = [a, b, c].map(i16::from);
@@ -274,7 +275,7 @@ mod tests {
         }
     }
 
-    /// The expected bytes are computed byte by byte as in section 9.2 of the standard.
+    /// The expected bytes are computed byte by byte, as in section 9.2 of the PNG standard.
     #[test]
     fn rows_are_filtered_by_the_standard() {
         for width in [1, 2, 21, 200] {

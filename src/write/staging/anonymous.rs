@@ -1,7 +1,8 @@
 //! Anonymous files: files without a name, which the system removes when their process ends, however it ends.
 //!
-//! In: a folder. Out: an open file, and later a link to it. Cost: that of any file. Linux supports them (`O_TMPFILE`)
-//! on most of its file systems. On other systems there are none, and temporary names are used.
+//! In: a folder. Out: an open file, and later a link to it. Cost: that of any file. Linux supports anonymous files
+//! (`O_TMPFILE`) on most of its file systems. Other systems have no anonymous files, so files with temporary names
+//! are used there.
 
 use std::fs::File;
 use std::io;
@@ -17,7 +18,7 @@ pub(super) fn create(folder: &Path) -> Option<File> {
     open(folder, OFlags::TMPFILE | OFlags::RDWR | OFlags::CLOEXEC, mode).ok().map(File::from)
 }
 
-/// Gives the anonymous `file` its name `path`, which must be new.
+/// Gives the anonymous `file` the name `path`, which must not exist.
 ///
 /// # Errors
 /// [`AlreadyExists`](io::ErrorKind::AlreadyExists), and other errors of the system.
@@ -27,8 +28,8 @@ pub(super) fn link(file: &File, path: &Path) -> io::Result<()> {
     use rustix::io::Errno;
     use std::os::fd::AsRawFd;
     match linkat(file, "", CWD, path, AtFlags::EMPTY_PATH) {
-        // Before Linux 6.10 only a privileged process may link an open file directly; other processes link it by its
-        // name in /proc.
+        // Before Linux 6.10 only a privileged process may link an open file directly; other processes can link the
+        // file through its entry in /proc.
         Err(e) if e != Errno::EXIST => {
             let entry = format!("/proc/self/fd/{}", file.as_raw_fd());
             Ok(linkat(CWD, entry, CWD, path, AtFlags::SYMLINK_FOLLOW)?)

@@ -1,9 +1,9 @@
-//! Claims: temporary names in a folder, and the process that they belong to.
+//! Claims: a claim is a lock file that marks temporary names in a folder as those of a running process.
 //!
-//! In: a folder. Out: names `.hdralign-ID-N.part` in it, and beside them the file `.hdralign-ID.lock`, which contains
-//! [`SIGNATURE`] and is locked while the process runs. [`sweep`] removes the files of claims that no process has
-//! locked. A file without a claim belongs to the user, whatever its name. Cost: one open file for each folder; a lock
-//! is one system call, the signature one fsync.
+//! In: a folder. Out: names `.hdralign-ID-N.part` in the folder, and beside them the file `.hdralign-ID.lock`, which
+//! contains [`SIGNATURE`] and is locked while the process runs. [`sweep`] removes the files of claims that no process
+//! has locked. A file without a claim belongs to the user, whatever its name. Cost: one open file for each folder; a
+//! lock is one system call, the signature one fsync.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File, OpenOptions, TryLockError};
@@ -15,10 +15,11 @@ const PREFIX: &str = ".hdralign-";
 const PART: &str = ".part";
 const LOCK: &str = ".lock";
 
-/// Number of letters and digits of an ID: 62^12 combinations.
+/// Number of characters of an ID. Each is one of 62 letters and digits, so there are 62^12 IDs.
 const ID_LENGTH: usize = 12;
 
-/// Content of a lock file. Lock files of older versions have the same text, so it must not change, not even the path.
+/// Content of a lock file. Lock files of older versions contain the same text and must be recognised, so the text
+/// must not change, not even the path in it.
 const SIGNATURE: &[u8] = b"hdralign: temporary files are written here; see docs/faults.md\n";
 
 /// Maximum number of attempts to create a lock file; an attempt fails if a sweep finds the file before it is locked.
@@ -43,7 +44,7 @@ impl Claim {
     pub fn new(folder: &Path) -> io::Result<Claim> {
         let mut lock = locked_in(folder)?;
         lock.write_all(SIGNATURE)?;
-        // Without a signature on the disk, the files could not be recognised after a power failure.
+        // If the signature were not on the disk, the temporary files could not be recognised after a power failure.
         lock.as_file().sync_all()?;
         let name = lock.path().file_name().unwrap_or_default().to_string_lossy().into_owned();
         let id = id_of(&name).unwrap_or_default().to_owned();
@@ -60,7 +61,7 @@ impl Claim {
 
     /// Removes the file `path`, if it exists, and its name. Returns whether it was the last name of the claim.
     pub fn remove(&mut self, path: &Path) -> bool {
-        // Usually the file already has its final name; otherwise an error cannot be reported here.
+        // An error is ignored here: usually the file has already been renamed to its target.
         let _ = fs::remove_file(path);
         self.paths.remove(path);
         self.paths.is_empty()
@@ -83,7 +84,8 @@ fn locked_in(folder: &Path) -> io::Result<NamedTempFile> {
         let lock = tempfile::Builder::new().prefix(PREFIX).suffix(LOCK).rand_bytes(ID_LENGTH).make_in(folder, open)?;
         match lock.as_file().try_lock() {
             Ok(()) if lock.path().exists() => return Ok(lock),
-            // A sweep found the lock file before it was locked, and removes it, or has done so.
+            // A sweep has found the lock file before it was locked, and has removed it or is about to do so: try
+            // again.
             Ok(()) | Err(TryLockError::WouldBlock) => {}
             Err(TryLockError::Error(_)) => return Ok(lock),
         }
@@ -96,10 +98,10 @@ fn id_of(name: &str) -> Option<&str> {
     name.strip_prefix(PREFIX)?.strip_suffix(LOCK).filter(|id| id.len() == ID_LENGTH)
 }
 
-/// Removes the temporary files that killed processes left in `folder`, and returns their number. Those of a running
-/// process are protected by the file that it has locked; if the file system does not support locks, nothing is removed.
-/// If locks do not reach other machines (Lustre's `localflock`), do not call this while another machine writes to the
-/// folder, because the temporary files of that machine would be removed.
+/// Removes the temporary files that killed processes left in `folder`, and returns the number of removed files. The
+/// temporary files of a running process are protected by its locked lock file. If the file system does not support
+/// locks, nothing is removed. If other machines do not see the locks (Lustre's `localflock`), do not call this
+/// function while another machine writes to the folder, because the temporary files of that machine would be removed.
 pub fn sweep(folder: &Path) -> usize {
     names(folder).iter().filter_map(|name| id_of(name)).map(|id| sweep_one(folder, id)).sum()
 }
@@ -109,7 +111,7 @@ fn names(folder: &Path) -> Vec<String> {
     entries.filter_map(|entry| entry.file_name().into_string().ok()).collect()
 }
 
-/// Removes the files of the claim `id` if no process has it locked, and returns their number.
+/// Removes the files of the claim `id`, unless a process has locked it, and returns the number of removed files.
 fn sweep_one(folder: &Path, id: &str) -> usize {
     let lock = folder.join(format!("{PREFIX}{id}{LOCK}"));
     let Some(abandoned) = Abandoned::at(&lock) else { return 0 };
@@ -162,7 +164,7 @@ mod tests {
             names.sort();
             names
         };
-        // Files of the user, by name or by content.
+        // These files belong to the user: the name does not fit, or there is no lock file with the signature.
         let users = [
             ".hdralign-notes.part",
             ".hdralign-aaaaaaaaaaaa-0.part",
@@ -190,7 +192,8 @@ mod tests {
         assert_eq!((sweep(dir.path()), sweep(&at("nowhere"))), (0, 0));
     }
 
-    /// A sweep that is repeated all the time does not remove the files of claims that other threads are just making.
+    /// While sweeps are repeated continuously, other threads create claims. The sweeps must not remove the files of
+    /// these claims.
     #[test]
     fn claims_made_during_a_sweep_are_kept() {
         let dir = tempfile::tempdir().unwrap();

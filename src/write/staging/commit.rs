@@ -1,7 +1,8 @@
-//! Commit: all files of a run are completed and then renamed to their targets, or none is.
+//! Commit: all files of a run are completed and then renamed to their targets, or none of them is renamed.
 //!
-//! In: the paths of outputs, and bytes. Out: a [`Pending`] is a temporary file in the folder of its target; [`commit`]
-//! completes and renames all files of a run. Cost: one fsync for each file, started when its last byte is written.
+//! In: the paths of outputs, and bytes. Out: files at these paths. A [`Pending`] is a temporary file in the folder of
+//! its target; [`commit`] completes and renames all files of a run. Cost: one fsync for each file, started when its
+//! last byte is written.
 
 use super::targets::folder_of;
 use super::temporary::{PROCESS_REGISTRY, Registry, Staged, State, TemporaryFile};
@@ -22,11 +23,11 @@ fn write_error(path: &Path, source: io::Error) -> Error {
 pub struct Pending {
     target: PathBuf,
     file: BufWriter<Open>,
-    /// The thread that syncs what was written before it started.
+    /// The thread that syncs all data that were written before the thread was started.
     syncing: Option<JoinHandle<io::Result<()>>>,
 }
 
-/// The temporary file, as the buffer of [`Pending`] writes to it.
+/// The temporary file to which the buffer of [`Pending`] writes.
 #[derive(Debug)]
 struct Open(TemporaryFile);
 
@@ -61,7 +62,7 @@ impl Pending {
         Ok(Pending { target: target.to_owned(), file: BufWriter::with_capacity(1 << 18, file), syncing: None })
     }
 
-    /// The path that it will be renamed to.
+    /// Returns the path that the file will be renamed to.
     pub fn target(&self) -> &Path {
         &self.target
     }
@@ -82,7 +83,8 @@ impl Pending {
     /// [`Error::Write`].
     pub(crate) fn sync_ahead(&mut self) -> Result<()> {
         self.file.flush().map_err(|source| write_error(&self.target, source))?;
-        // The thread sleeps in a system call and takes no core from the encoders. Without a thread, complete() syncs.
+        // The thread sleeps in a system call and takes no core from the encoders. If no thread can be started,
+        // `complete` syncs.
         let thread =
             |file: File| std::thread::Builder::new().name("hdralign sync".into()).spawn(move || file.sync_all());
         self.syncing = self.file.get_ref().0.file().try_clone().and_then(thread).ok();
@@ -107,8 +109,8 @@ impl Seek for Pending {
     }
 }
 
-/// A complete, synced file that waits to be renamed to its target. When dropped, it is removed. Of many such files,
-/// only some stay open.
+/// A complete, synced file that waits to be renamed to its target. When dropped, it is removed. If there are many
+/// such files, only some of them stay open.
 #[derive(Debug)]
 pub struct CompleteFile {
     target: PathBuf,
@@ -116,7 +118,7 @@ pub struct CompleteFile {
 }
 
 impl CompleteFile {
-    /// The path that it will be renamed to.
+    /// Returns the path that the file will be renamed to.
     pub fn target(&self) -> &Path {
         &self.target
     }
@@ -129,7 +131,7 @@ impl CompleteFile {
         self.file.open()
     }
 
-    /// Removes the permissions that the file `source` does not have.
+    /// Removes from this file the permissions that the file `source` does not have.
     ///
     /// # Errors
     /// [`Error::Write`].
@@ -139,7 +141,8 @@ impl CompleteFile {
 }
 
 impl Pending {
-    /// Completes the file: syncs it and closes it.
+    /// Completes the file: waits until it is synced. The file is closed if it has a temporary name; an anonymous file
+    /// stays open.
     ///
     /// # Errors
     /// [`Error::Write`].
@@ -163,19 +166,18 @@ impl Pending {
 /// Commits `files`: completes every one, then renames all, as [`rename_all`] does.
 ///
 /// # Errors
-/// [`Error::OutputExists`] where a target has appeared meanwhile and `overwrite` is off; [`Error::Write`].
+/// [`Error::OutputExists`] if a target exists now and `overwrite` is off; [`Error::Write`].
 pub fn commit(files: Vec<Pending>, overwrite: bool) -> Result<()> {
     rename_all(files.into_iter().map(Pending::complete).collect::<Result<_>>()?, overwrite)
 }
 
-/// Renames `files` to their targets, in order: if the process is killed meanwhile, only the first ones are renamed, so
-/// if the last file exists, all do. A file that replaces another gets the permissions of that file. When a rename
-/// fails, the files renamed before it are removed again, except those that replaced an older file, which cannot be
-/// restored.
+/// Renames `files` to their targets, in order. If the process is killed meanwhile, only the first files have been
+/// renamed; so if the last target exists, all targets exist. A file that replaces an older file gets the permissions
+/// of the older file. If a rename fails, the files that were already renamed are removed again. Exceptions are files
+/// that have replaced an older file, because the older file cannot be restored.
 ///
 /// # Errors
-/// [`Error::OutputExists`] where a target has appeared meanwhile and `overwrite` is off; [`Error::Write`];
-/// [`Error::Abandoned`].
+/// [`Error::OutputExists`] if a target exists now and `overwrite` is off; [`Error::Write`]; [`Error::Abandoned`].
 pub fn rename_all(mut files: Vec<CompleteFile>, overwrite: bool) -> Result<()> {
     let Some(first) = files.first() else { return Ok(()) };
     let (target, registry) = (first.target.clone(), first.file.registry());
@@ -185,7 +187,7 @@ pub fn rename_all(mut files: Vec<CompleteFile>, overwrite: bool) -> Result<()> {
 /// Renames `files` under the lock of the registry.
 fn rename_files(state: &mut State, files: &mut [CompleteFile], overwrite: bool) -> Result<()> {
     let is_there = |target: &Path| fs::symlink_metadata(target).is_ok();
-    // Everything that may fail is done before the first older file is replaced.
+    // Temporary names and permissions, which may fail, are set before the first older file is replaced.
     for CompleteFile { target, file } in files.iter_mut().filter(|file| overwrite && is_there(&file.target)) {
         file.prepare(state, target).map_err(|source| write_error(target, source))?;
     }
@@ -236,7 +238,7 @@ impl<'a> Renamed<'a> {
     /// Removes the files whose targets did not exist before.
     fn remove_new(&self) {
         for path in &self.new {
-            // The first failure is the one to report; a second while clearing up would only hide it.
+            // An error is ignored here, because it would hide the failure that is reported.
             let _ = fs::remove_file(path);
         }
     }
@@ -296,7 +298,7 @@ mod tests {
         assert_eq!(fs::read_to_string(&a).unwrap(), "new");
     }
 
-    /// A symbolic link gives two names of one file, as on a case-insensitive file system.
+    /// A symbolic link gives one file two names, as a case-insensitive file system does.
     #[cfg(unix)]
     #[test]
     fn commit_two_targets_one_file_is_refused() {
@@ -371,7 +373,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let error = Pending::create(&dir.path().join("gone/a.exr")).unwrap_err().to_string();
         assert!(error.contains("gone/a.exr") && !error.contains(".hdralign-"), "{error}");
-        // The folder is removed while the file is written, as when a disk is removed.
+        // The folder is removed while the file is written, as if a disk were removed.
         let folder = dir.path().join("sub");
         fs::create_dir(&folder).unwrap();
         let file = pending(&folder.join("a.exr"), "A");

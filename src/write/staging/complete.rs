@@ -1,7 +1,7 @@
-//! Renaming of complete files to their targets, with or without replacement.
+//! Renames complete files to their targets; existing files are replaced or are an error.
 //!
-//! In: complete files, anonymous or with temporary names. Out: files at the paths of their targets. Cost: a few system
-//! calls for each file. Bytes are copied only where a file system supports anonymous files but cannot link them.
+//! In: complete files, anonymous or with temporary names. Out: files at the paths of their targets. Cost: a few
+//! system calls for each file. Bytes are copied only if a file system supports anonymous files but cannot link them.
 
 use super::anonymous;
 use super::temporary::{Registry, Staged, State, TemporaryName};
@@ -33,7 +33,7 @@ impl Staged {
         }
     }
 
-    /// Sets the permission bits of the file to the result of `mode` for its current bits.
+    /// Sets the permission bits of the file to `mode(current bits)`.
     #[cfg(unix)]
     fn set_mode(&self, mode: impl Fn(u32) -> u32) -> io::Result<()> {
         use std::os::unix::fs::PermissionsExt;
@@ -44,7 +44,7 @@ impl Staged {
         if wanted == own { Ok(()) } else { file.set_permissions(fs::Permissions::from_mode(wanted)) }
     }
 
-    /// Removes the permissions that `source` does not have, on systems with permission bits.
+    /// Removes from this file the permissions that the file `source` does not have, on systems with permission bits.
     ///
     /// # Errors
     /// The error of the system.
@@ -59,8 +59,8 @@ impl Staged {
         Ok(())
     }
 
-    /// Gives the file a temporary name and the permissions of the file `target`. These steps may fail, so they are done
-    /// before any [`rename_over`](Self::rename_over).
+    /// Gives the file a temporary name and, if the file `target` exists, the permissions of `target`. These steps may
+    /// fail, so they are done for all files before the first [`rename_over`](Self::rename_over).
     ///
     /// # Errors
     /// The error of the system.
@@ -113,7 +113,7 @@ impl Staged {
 /// Renames the file `from` to `to`, which must not exist.
 fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
     let Err(failed) = TempPath::try_from_path(from)?.persist_noclobber(to) else { return Ok(()) };
-    // The owner of the temporary name removes the file.
+    // `TempPath` must not remove the file: the owner of the temporary name does that.
     let _: Result<PathBuf, _> = failed.path.keep();
     match failed.error.kind() {
         ErrorKind::AlreadyExists => Err(failed.error),
@@ -122,11 +122,12 @@ fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
 }
 
 /// Same as [`rename_new`], for file systems with neither rename-without-replacement nor hard links (some FUSE file
-/// systems): creates an empty file at `to` and replaces it, so that no other process can create `to` in between.
+/// systems): creates an empty file at `to` and then replaces this file, so that no other process can create `to` in
+/// between.
 fn replace_reservation(from: &Path, to: &Path) -> io::Result<()> {
     OpenOptions::new().write(true).create_new(true).open(to)?;
     fs::rename(from, to).inspect_err(|_| {
-        // Ignored, because the earlier failure is reported.
+        // An error is ignored here, because the failure of `rename` is reported.
         let _ = fs::remove_file(to);
     })
 }
@@ -150,7 +151,7 @@ mod tests {
         assert_eq!((read("new"), read("taken"), at("from").exists()), ("bytes".into(), "old".into(), false));
     }
 
-    /// The folder of the target does not exist, or the target exists.
+    /// Two failures are tested: the folder of the target does not exist, and the target exists.
     #[test]
     fn rename_new_failure_keeps_the_temporary_file() {
         let dir = tempfile::tempdir().unwrap();

@@ -1,8 +1,8 @@
-//! Staging: files get their names when all files of a run are complete.
+//! Staging: files get their final names once all files of a run are complete.
 //!
-//! In: the paths of outputs, and bytes. Out: files under those paths, or none at all. [`check_targets`] runs before any
-//! work is done. A [`Pending`] is a temporary file in the folder of its target; [`commit()`] renames all files of a
-//! run. Cost: one fsync for each file.
+//! In: the paths of outputs, and bytes. Out: files under all of these paths, or under none. [`check_targets`] runs
+//! before any work is done. A [`Pending`] is a temporary file in the folder of its target; [`commit()`] renames all
+//! files of a run. Cost: one fsync for each file.
 //!
 //! Each file uses only those before it: `anonymous`, `claim`, `temporary`, `complete`, `targets`, `commit`.
 
@@ -31,7 +31,7 @@ pub struct Written {
 }
 
 impl Written {
-    /// Starts to sync `file`, to which the last byte has been written, while other work goes on.
+    /// Starts to sync `file`, to which the last byte has been written, and returns without waiting for the sync.
     pub(crate) fn ended(mut file: Pending, warnings: Vec<Warning>) -> Result<Self> {
         file.sync_ahead()?;
         Ok(Written { file, warnings })
@@ -66,8 +66,8 @@ pub fn complete(path: &Path, bytes: &[u8]) -> Result<CompleteFile> {
     file.complete()
 }
 
-/// Returns a warning that `count` values of `file` were out of range, or none if `count` is 0; `what` says which values
-/// and what was done.
+/// Returns a warning that `count` values of `file` were out of range, or no warning if `count` is 0. `what` is the
+/// rest of the message after the count.
 pub(crate) fn clamped(file: &Pending, count: u64, what: &str) -> Vec<Warning> {
     let warning = Warning::OutOfRange { path: file.target().to_owned(), detail: format!("{count} values {what}") };
     if count > 0 { vec![warning] } else { Vec::new() }

@@ -1,4 +1,4 @@
-//! Checks of the targets: whether all files can be written, before any work is done.
+//! Checks, before any work is done, that all target files can be written.
 //!
 //! In: [`Target`]s, and the input files. Out: an error for the first target that cannot be written. Cost: a few
 //! system calls for each file.
@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 pub struct Target {
     /// The file.
     pub path: PathBuf,
-    /// The option as typed: `--report`.
+    /// The option as typed, for example `--report`.
     pub option: &'static str,
 }
 
@@ -48,8 +48,8 @@ impl Target {
     }
 }
 
-/// Checks that all `targets` can be written: their folders exist, no file is named twice or is one of the `inputs`, and
-/// no file exists already unless `overwrite`.
+/// Checks that all `targets` can be written: their folders exist, no target is named twice, no target is one of the
+/// `inputs`, and, unless `overwrite` is set, no target exists already.
 ///
 /// # Errors
 /// [`Error::Option`] for a file that is named twice or is an input, [`Error::Write`] for a folder that is missing or a
@@ -134,7 +134,7 @@ mod tests {
         assert_eq!(check(&["old.exr"], true), Ok(()));
     }
 
-    /// A hard link gives two names of one file, as on a file system that ignores case.
+    /// A hard link gives one file two names, as a case-insensitive file system does.
     #[cfg(unix)]
     #[test]
     fn input_under_another_name_is_refused_by_the_option_that_names_it() {

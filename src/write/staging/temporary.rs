@@ -1,9 +1,9 @@
 //! Temporary files, and the registry that removes them when a run ends early.
 //!
 //! In: the target of a file. Out: a [`TemporaryFile`] in the target's folder, which becomes a [`Staged`] file when it
-//! is complete. It is an [anonymous] file where the system supports them, otherwise a file with a temporary name that a
-//! [claim](super::claim) protects. [`abandon`] removes all temporary files of the process. Cost: that of the files. At
-//! most [`most`](anonymous::most) complete files stay open.
+//! is complete. The temporary file is an [anonymous] file if the system supports that, otherwise a file with a
+//! temporary name that a [claim](super::claim) protects. [`abandon`] removes all temporary files of the process.
+//! Cost: that of the files. At most [`most`](anonymous::most) complete anonymous files stay open.
 
 use super::anonymous;
 use super::claim::Claim;
@@ -21,7 +21,8 @@ pub(super) struct Registry(Mutex<State>);
 #[derive(Debug)]
 pub(super) struct State {
     is_abandoned: bool,
-    /// The claim on each folder with temporary names; every claim has at least one name.
+    /// For each folder with temporary names, the claim (lock file) that protects the names. Every claim has at least
+    /// one name.
     claims: BTreeMap<PathBuf, Claim>,
     /// Folders that were created for output files.
     folders: BTreeSet<PathBuf>,
@@ -58,8 +59,9 @@ impl Registry {
         }
     }
 
-    /// Runs `rename`, which renames files, under the lock of the registry: completely before the registry is abandoned,
-    /// or not at all. `rename` must not drop a temporary file, because that takes the same lock.
+    /// Runs `rename`, which renames files, unless the registry is abandoned. The registry stays locked meanwhile, so
+    /// that it cannot be abandoned before `rename` returns. `rename` must not drop a temporary file, because dropping
+    /// takes the same lock.
     ///
     /// # Errors
     /// [`Error::Abandoned`] with the path of `target`; those of `rename`.
@@ -73,7 +75,7 @@ impl Registry {
 }
 
 impl State {
-    /// Reserves a temporary name in `folder` and creates its file by `make`.
+    /// Reserves a temporary name in `folder` and creates its file with `make`.
     fn temporary<R>(&mut self, folder: &Path, make: impl FnOnce(&Path) -> io::Result<R>) -> io::Result<(PathBuf, R)> {
         if !self.claims.contains_key(folder) {
             self.claims.insert(folder.to_owned(), Claim::new(folder)?);
@@ -94,7 +96,8 @@ impl State {
         Ok(self.temporary(folder, make)?.0)
     }
 
-    /// Removes a temporary name and its file, if it exists. The claim on a folder is removed with its last name.
+    /// Removes a temporary name and its file, if the file exists. The claim on a folder is removed with its last
+    /// name.
     fn release(&mut self, path: &Path) {
         let folder = path.parent().unwrap_or(path);
         if self.claims.get_mut(folder).is_some_and(|claim| claim.remove(path)) {
@@ -103,15 +106,15 @@ impl State {
     }
 }
 
-/// Removes all temporary files of this process. From then on no file can be created or renamed. A set of files that is
-/// being renamed is renamed completely first. Any thread may call it at any time, as when the user interrupts the
-/// program. A signal handler must not call it, because it waits for a lock.
+/// Removes all temporary files of this process. From then on no file can be created or renamed. A set of files that
+/// is being renamed is renamed completely first. Any thread may call this function at any time, for example when the
+/// user interrupts the program. A signal handler must not call it, because it waits for a lock.
 pub fn abandon() {
     PROCESS_REGISTRY.abandon();
 }
 
-/// A folder for output files. When dropped, it is removed if it was created here and is empty; [`abandon`] does the
-/// same.
+/// A folder for output files. When dropped, the folder is removed if [`create`](Self::create) has created it and it
+/// is empty. [`abandon`] does the same.
 #[derive(Debug)]
 pub struct NewFolder(Option<PathBuf>);
 
@@ -147,7 +150,7 @@ impl Drop for NewFolder {
     fn drop(&mut self) {
         if let Some(folder) = self.0.take() {
             PROCESS_REGISTRY.state().folders.remove(&folder);
-            // The first failure is the one to report. A folder that is not empty stays.
+            // An error is ignored here: a folder that is not empty stays.
             let _ = fs::remove_dir(folder);
         }
     }
@@ -201,17 +204,18 @@ impl TemporaryFile {
         &mut self.file
     }
 
-    /// Turns the file into a complete one; an anonymous file gets a temporary name if too many are open.
+    /// Turns the file into a complete file. An anonymous file gets a temporary name if too many anonymous files are
+    /// open.
     ///
     /// # Errors
-    /// The error of the system where it needs a temporary name.
+    /// The error of the system if a temporary name is needed and cannot be created.
     pub fn stage(self) -> io::Result<Staged> {
         let TemporaryFile { registry, folder, file, name } = self;
         if let Some(name) = name {
             return Ok(Staged::Named(name));
         }
         let mut state = registry.state();
-        // An abandoned registry gives no names.
+        // An abandoned registry must not give new names, so the file stays anonymous.
         if state.open_anonymous < anonymous::most() || state.is_abandoned {
             state.open_anonymous += 1;
             drop(state);
@@ -252,7 +256,7 @@ impl Drop for AnonymousFile {
 /// A complete file that waits to be renamed. When dropped before that, it is removed.
 #[derive(Debug)]
 pub(super) enum Staged {
-    /// An anonymous file, and its temporary name where it cannot be linked to its target directly.
+    /// An anonymous file. It gets a temporary name only if it cannot be linked to its target directly.
     Anonymous(AnonymousFile, Option<TemporaryName>),
     /// A file with a temporary name.
     Named(TemporaryName),
@@ -303,20 +307,22 @@ mod tests {
         assert_eq!((count(dir.path()), registry.state().claims.len()), (0, 0));
     }
 
-    /// The number of open complete files is limited; the others have temporary names under a claim.
+    /// The number of complete files that stay open is limited; further complete files get temporary names under a
+    /// claim.
     #[cfg(target_os = "linux")]
     #[test]
     fn complete_files_above_limit_are_closed_and_claimed() {
         let dir = tempfile::tempdir().unwrap();
         let registry = registry();
-        // An unlinked file stands for an anonymous one, which not every file system has: it gets its name by a copy.
+        // Not every file system supports anonymous files, so the test uses an unlinked file. This file gets its name
+        // by a copy.
         let keep = || {
             let file = tempfile::tempfile_in(dir.path()).unwrap();
             TemporaryFile { registry, folder: dir.path().to_owned(), file, name: None }.stage().unwrap()
         };
         let held = keep();
         assert_eq!((count(dir.path()), registry.state().open_anonymous), (0, 1));
-        // As if as many more files were open as the limit allows.
+        // Pretend that the number of open files has reached the limit.
         registry.state().open_anonymous += anonymous::most();
         let named = keep();
         assert_eq!((count(dir.path()), super::super::sweep(dir.path())), (2, 0));

@@ -1,4 +1,4 @@
-//! The directory of a TIFF: tags with their values, and the header that points to it.
+//! The directory of a TIFF, which has tags with their values, and the file header, which points to the directory.
 //!
 //! In: tags and values in any order, and the capture data or EXIF fields. Out: little-endian bytes, for TIFF or
 //! BigTIFF. Cost: negligible. Source: TIFF 6.0, sections 2 and 20 (chromaticities); BigTIFF (Aware Systems); EXIF
@@ -66,8 +66,8 @@ impl Directory {
         Directory { big, entries: BTreeMap::new(), others: BTreeMap::new() }
     }
 
-    /// Adds the capture data of the reference frame: camera and date and, in EXIF, exposure and lens. Size and
-    /// orientation are those of the picture; the location is omitted.
+    /// Adds the capture data of the reference frame: camera and date and, in the EXIF directory, exposure and lens.
+    /// The frame's size, orientation and location are not copied.
     pub(crate) fn capture(&mut self, metadata: &Metadata) {
         let capture = &metadata.capture;
         self.text(tag::DESCRIPTION, Some(&metadata.comments.join("; ")));
@@ -85,7 +85,7 @@ impl Directory {
         number(tag::F_NUMBER, metadata.f_number);
         number(tag::FOCAL_LENGTH, capture.focal_length_mm);
         match metadata.iso.map(f64::round) {
-            // Sensitivities that do not fit 16 bits are 65535, by the standard.
+            // EXIF requires the value 65535 for sensitivities that do not fit into 16 bits.
             Some(iso) if iso >= 1.0 => exif.short(tag::ISO, &[iso.min(65535.0) as u16]),
             _ => {}
         }
@@ -116,7 +116,7 @@ impl Directory {
         }
     }
 
-    /// Adds the primaries and the white.
+    /// Adds the primaries and the white point.
     pub(crate) fn primaries(&mut self, primaries: &Primaries) {
         let Primaries { red, green, blue, white } = primaries;
         self.white_point(*white);
@@ -167,12 +167,12 @@ impl Directory {
         if self.big {
             value.to_le_bytes().to_vec()
         } else {
-            // The size was checked when the kind of TIFF was chosen.
+            // The value fits into 32 bits: larger files are written as BigTIFF.
             (value as u32).to_le_bytes().to_vec()
         }
     }
 
-    /// Returns the first bytes of the file, with the offset of the directory.
+    /// Returns the first bytes of the file, which contain the offset `place` of the directory.
     pub(crate) fn file_header(&self, place: u64) -> Vec<u8> {
         let magic: &[u8] = if self.big { b"II\x2b\0\x08\0\0\0" } else { b"II\x2a\0" };
         [magic, &self.word(place)].concat()
@@ -182,7 +182,8 @@ impl Directory {
     /// other directories.
     pub(crate) fn bytes(&mut self, place: u64) -> Vec<u8> {
         let others = std::mem::take(&mut self.others);
-        // The values of the offsets do not change the length, so 0 stands for them here.
+        // The offsets of the other directories are not known yet. They do not change the length of this directory, so
+        // 0 is written first.
         others.keys().for_each(|&pointer| self.long(pointer, &[0]));
         let length = self.own_bytes(place).len().next_multiple_of(8);
         let mut behind = Vec::new();
@@ -219,7 +220,7 @@ impl Directory {
                 behind.resize(behind.len().next_multiple_of(8), 0);
             }
         }
-        // No further directory.
+        // 0 means that no further directory follows.
         out.extend(self.word(0));
         out.extend(behind);
         out

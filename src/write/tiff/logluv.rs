@@ -2,9 +2,10 @@
 //!
 //! In: linear RGB by rows. Out: a TIFF with compression 34677 (24 bits, uncompressed) or 34676 (32 bits, run-length
 //! encoded) and photometric interpretation 32845, in strips of 64 rows, as read by libtiff, ImageMagick and OpenCV.
-//! Grey is written as X = Y = Z, and the white of the primaries as WhitePoint, as `tif_luv.c` requires. StoNits is the
-//! factor for the stored luminance. Cost: 80 ns per pixel and core; files have 3 bytes per pixel, or about 3 with
-//! run-length encoding. Source: see [`crate::pixel::logluv`].
+//! Grey is written as X = Y = Z, and the white of the primaries as WhitePoint, as `tif_luv.c` requires. The tag
+//! StoNits is the factor from stored luminance to cd/m2. Cost: 80 ns per pixel and core; files have 3 bytes per pixel
+//! with 24 bits, and about 3 bytes per pixel with 32 bits, because of the run-length encoding. Source: see
+//! [`crate::pixel::logluv`].
 
 use super::directory::tag;
 use super::strips::Strips;
@@ -25,9 +26,10 @@ pub(crate) fn bright(map: &RadianceMap) -> f32 {
     Statistics::measured(&map.pixels, weights(&map.primaries), Unit::Relative).p99_9
 }
 
-/// Returns the factor for the values of a map in LogLuv: a power of two of at most 1, so that all but the brightest 0.1
-/// % of pixels, those above the luminance `bright`, are in range. For calibrated radiance, the tag StoNits undoes this
-/// factor. For relative radiance there is no StoNits, and the image description records the factor.
+/// Returns the factor by which the values of a map are multiplied for LogLuv: a power of two of at most 1. With this
+/// factor, only the brightest 0.1 % of the pixels, which are above the luminance `bright`, can exceed the largest
+/// value of LogLuv. For calibrated radiance, the tag StoNits undoes this factor. For relative radiance there is no
+/// StoNits, and the image description records the factor.
 pub(crate) fn scale_under(depth: Depth, bright: f32) -> f32 {
     let mut scale = 1.0;
     while bright * scale >= depth.range().1 {
@@ -55,8 +57,8 @@ impl Writer {
     pub fn new(file: Pending, size: (usize, usize), metadata: &Metadata, depth: Depth, scale: f32) -> Result<Self> {
         let mut strips = Strips::begin(file, size, 32)?;
         let directory = &mut strips.directory;
-        // The bits are those of the values that users of libtiff read and write; the compression defines what is
-        // stored.
+        // These bits are those of the 16-bit values that libtiff exchanges with programs. The stored bits are defined
+        // by the compression.
         directory.short(tag::BITS, &[16; 3]);
         directory.short(tag::SAMPLE_FORMAT, &[2; 3]);
         let compression = match depth {
@@ -111,7 +113,7 @@ impl RowWriter<[f32; 3]> for Writer {
     }
 }
 
-/// Appends the rows; returns the number of pixels out of range.
+/// Appends the encoded rows to `out`; returns the number of pixels out of range.
 fn encode_band(
     pixels: &[[f32; 3]],
     width: usize,
@@ -178,8 +180,9 @@ mod tests {
         RadianceMap { pixels, primaries: Primaries::SRGB }
     }
 
-    /// Half a step of luminance is 0.55 % with 24 bits and 0.14 % with 32 bits; of chromaticity it is 0.00175 and
-    /// 0.00122 in u' and v', which for red or blue of these colours is up to 5 % of the largest component.
+    /// The tolerances are half a step. Half a step of luminance is 0.55 % with 24 bits and 0.14 % with 32 bits. Half
+    /// a step of the chromaticities u' and v' is 0.00175 with 24 bits and 0.00122 with 32 bits. For the colours of
+    /// this test, it changes red or blue by up to 5 % of the largest component.
     #[test]
     fn pixels_are_read_back_within_the_steps() {
         for (depth, tolerance) in [(Depth::Bits24, 0.0056), (Depth::Bits32, 0.0014)] {

@@ -1,12 +1,12 @@
-//! TIFF: RGB of 8 or 16 bits (pictures, aligned frames) or 32-bit floats (radiance), by strips of 64 rows, deflated
-//! without loss.
+//! TIFF: RGB of 8 or 16 bits (pictures, aligned frames) or 32-bit floats (radiance), in strips of 64 rows that are
+//! compressed losslessly with deflate.
 //!
 //! In: pixels by rows. Out: a little-endian TIFF, or BigTIFF if the file might exceed 4 GB; the directory comes last.
 //! The primaries of radiance are in the tags of TIFF 6.0, section 20, or, if a coordinate is negative, in an ICC
-//! profile. If radiance is calibrated, the luminance of 1 is in StoNits. Cost: about 12 ns per byte and core. Source:
-//! TIFF 6.0, sections 2 (structure), 14 (differencing), 19 (sample format); Adobe Photoshop TIFF Technical Notes
-//! (deflate, compression 8) and Technical Note 3 (floating-point predictor); BigTIFF (Aware Systems); ICC.1:2010, B.4
-//! (tag 34675).
+//! profile. If radiance is calibrated, the tag StoNits contains the luminance of the value 1. Cost: about 12 ns per
+//! byte and core. Source: TIFF 6.0, sections 2 (structure), 14 (differencing), 19 (sample format); Adobe Photoshop
+//! TIFF Technical Notes (deflate, compression 8) and Technical Note 3 (floating-point predictor); BigTIFF (Aware
+//! Systems); ICC.1:2010, B.4 (tag 34675).
 //!
 //! The `tiff` crate's encoder writes the byte order of the machine and compresses strip after strip on one thread, so
 //! this module writes the structure of the file itself; the tests read it with the decoder of that crate.

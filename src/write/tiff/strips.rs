@@ -22,7 +22,8 @@ impl Strips {
     pub(crate) fn begin(mut file: Pending, size: (usize, usize), bits_per_pixel: u64) -> Result<Self> {
         let (width, height) = (size.0 as u64, size.1 as u64);
         let raw = width * height * bits_per_pixel / 8;
-        // Compressed noise can be a little larger than `raw`; the directory also needs some space.
+        // A BigTIFF is chosen if the file may exceed 4 GB: compressed noise can be a little larger than `raw`, and
+        // the directory needs some space.
         let mut directory = Directory::new(raw + raw / 64 + (1 << 24) > u64::from(u32::MAX));
         directory.long(tag::WIDTH, &[width]);
         directory.long(tag::HEIGHT, &[height]);

@@ -23,8 +23,8 @@ pub struct Writer<T> {
 }
 
 impl<T: Sample> Writer<T> {
-    /// Starts a picture of `size` pixels. Integers have the [`profile`](Metadata::profile), if there is one; floats
-    /// the [`primaries`](Metadata::primaries).
+    /// Starts a picture of `size` pixels. Files of integers contain the [`profile`](Metadata::profile), if there is
+    /// one. Files of floats contain the [`primaries`](Metadata::primaries).
     ///
     /// # Errors
     /// [`Error::Write`](crate::error::Error::Write).
@@ -138,7 +138,7 @@ mod tests {
         let pending = Pending::create(&path).unwrap();
         let mut writer = Writer::<T>::new(pending, size, metadata).unwrap();
         if big {
-            // As if the file were very large: starts again with the header of a BigTIFF.
+            // Pretend that the file is very large: start again with the header of a BigTIFF.
             let strips = &mut writer.strips;
             strips.file.seek(SeekFrom::Start(0)).unwrap();
             strips.directory = Directory::new(true);
@@ -211,7 +211,7 @@ mod tests {
             decoder.get_tag_f64(Tag::Unknown(tag::STONITS)).is_err()
                 && decoder.get_tag(Tag::Unknown(tag::WHITE_POINT)).is_err()
         );
-        // Another reader finds the EXIF, in either kind of TIFF.
+        // Another reader finds the EXIF fields, in TIFF and in BigTIFF.
         for big in [false, true] {
             let bytes = written(&picture(5, 5, |n| n as f32), &metadata, big);
             let mut decoder = Decoder::new(io::Cursor::new(&bytes)).unwrap();

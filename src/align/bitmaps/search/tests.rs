@@ -1,4 +1,5 @@
-//! Tests of the percentiles, and of the search: against known motions, and against Ward's loop as printed.
+//! Tests of the percentiles and of the search. The search is checked with known motions, and against Ward's loop as
+//! printed in the paper.
 
 use super::*;
 use crate::align::bitmaps::MtbOptions;
@@ -18,13 +19,13 @@ fn histogram(values: &[(u8, usize)]) -> Histogram {
 
 #[test]
 fn a_level_is_the_least_that_enough_pixels_do_not_exceed() {
-    // The values are 0 to 99. The 17th, 50th and 83rd percentiles are those of the 17th, 50th and 83rd pixel in
+    // The values are 0 to 99. The 17th, 50th and 83rd percentiles are the values of the 17th, 50th and 83rd pixel in
     // ascending order.
     let ramp: Vec<(u8, usize)> = (0..100).map(|v| (v, 1)).collect();
     let levels = [Percentile::new(17), Percentile::MEDIAN, Percentile::new(83)].map(|p| histogram(&ramp).value_at(p));
     assert_eq!(levels, [16, 49, 82]);
-    // If half of the pixels have each of two values, the median is the lower value; with one more pixel of the upper
-    // value, it is the upper one.
+    // If half of the pixels have one value and half have another, the median is the lower value. With one more pixel of
+    // the upper value, it is the upper one.
     assert_eq!(histogram(&[(10, 50), (20, 50)]).value_at(Percentile::MEDIAN), 10);
     assert_eq!(histogram(&[(10, 50), (20, 51)]).value_at(Percentile::MEDIAN), 20);
     for end in [0, 255] {
@@ -42,13 +43,13 @@ fn another_percentile_is_used_if_the_median_is_clipped_or_black() {
     let with = |end: u8| histogram(&[&spread[..], &[(end, 600)]].concat());
     let (burnt, black) = (with(255), with(0));
     assert_eq!(common_percentile(&normal, &normal, 4), Percentile::MEDIAN);
-    // The threshold is not the value that most pixels have, and its percentile leaves at least 15 % of the pixels on
-    // either side.
+    // The threshold must not be the value that most pixels have, and its percentile must leave at least 15 % of the
+    // pixels on either side.
     let parts = |h: &Histogram, p: Percentile| (40..140).contains(&h.value_at(p)) && (15..=85).contains(&p.percent());
     for crowded in [&burnt, &black] {
         let own = common_percentile(crowded, crowded, 4);
         assert!(own != Percentile::MEDIAN && parts(crowded, own), "{own:?}");
-        // Both frames of a pair must have structure, in either order.
+        // If one frame is normal and the other is crowded at an end, both must have structure, in either order.
         let common = common_percentile(&normal, crowded, 4);
         assert!(common != Percentile::MEDIAN && parts(crowded, common), "{common:?}");
         assert_eq!(common_percentile(crowded, &normal, 4), common);
@@ -56,8 +57,8 @@ fn another_percentile_is_used_if_the_median_is_clipped_or_black() {
     assert_eq!(common_percentile(&normal, &normal, 4), Percentile::MEDIAN);
 }
 
-/// Returns a dark and a bright photograph of a scene. The second is under `transform`, two stops brighter, and its
-/// lights are clipped.
+/// Returns a dark and a bright photograph of a scene. The bright one is taken under `transform` and is two stops
+/// brighter; its highlights are clipped.
 fn pair(size: (usize, usize), transform: &Transform) -> (GreyPyramid, GreyPyramid) {
     let take = |transform: &Transform, ev| GreyPyramid::new(Scene::new(5).photograph(size, transform, Shot::at(ev)));
     (take(&Transform::Identity, -1.0), take(transform, 1.0))
@@ -73,8 +74,9 @@ fn finds_shift_and_rotation_between_exposures() {
     for transform in [shift(13.0, -7.0), rigid(0.0, 0.0, 1.3), rigid(-21.4, 9.7, -2.2)] {
         let Transform::Rigid { dx, dy, angle } = transform else { unreachable!() };
         let motion = found((768, 512), &transform);
-        // One pixel in 100 is at an edge, so 4000 in all. Each of them measures the motion to some tenths of a pixel,
-        // all together to 0.01 px. An angle of 0.01 degrees moves the rim, at 256 px, by 0.045 px.
+        // The tolerances allow several times the expected error. One pixel in 100 is at an edge, 4000 pixels in all.
+        // Each of them measures the motion to some tenths of a pixel, all together to 0.01 px. An angle of 0.01 degrees
+        // moves the rim, at 256 px, by 0.045 px.
         assert!((motion.angle - angle).to_degrees().abs() < 0.01, "{motion:?} for {transform:?}");
         assert!((motion.dx - dx).abs() < 0.1 && (motion.dy - dy).abs() < 0.1, "{motion:?} for {transform:?}");
     }
@@ -100,8 +102,8 @@ fn rotations_down_to_a_hundredth_of_a_degree_are_found() {
         ratios.push(found.error_px / error);
     }
     assert!(worst < 0.1, "{worst} px");
-    // The estimate is a root mean square, so single errors differ from it. In about four cases of five, the estimate
-    // divided by the error is in 0.33..4.
+    // The estimate is a root mean square, and the error of a single case differs from it. In about four of five cases,
+    // the estimate divided by the error is in 0.33..4.
     let fair = ratios.iter().filter(|r| (0.33..4.0).contains(*r)).count();
     assert!(fair >= 7, "{ratios:?}");
 }
@@ -111,8 +113,8 @@ fn motion_outside_the_model_is_part_of_the_error() {
     let take =
         |transform: &Transform, ev| GreyPyramid::new(Scene::new(6).photograph((512, 384), transform, Shot::at(ev)));
     let reference = take(&Transform::Identity, 0.0);
-    // The picture is enlarged by 0.6 %. This moves the middle of the upper edge by 1.15 px, and a pixel by 1.1 px (root
-    // mean square).
+    // The picture is enlarged by 0.6 %. This moves the middle of the upper edge by 1.15 px, and the pixels by 1.1 px
+    // (root mean square).
     let (cx, cy, zoom) = (255.5, 191.5, 1.006);
     let larger = nalgebra::Matrix3::new(zoom, 0.0, cx * (1.0 - zoom), 0.0, zoom, cy * (1.0 - zoom), 0.0, 0.0, 1.0);
     let found = search(&reference, &take(&Transform::Homography(larger), 1.0), 0, &MtbOptions::default());
@@ -122,15 +124,15 @@ fn motion_outside_the_model_is_part_of_the_error() {
 
 #[test]
 fn a_smooth_slope_does_not_pull() {
-    // The scene becomes brighter towards the top, as in fog, and has little other contrast. The frame is clipped in its
-    // upper third.
+    // The scene becomes brighter towards the top, as in fog, and has little other contrast. The upper third of the
+    // frame is clipped.
     let scene = Scene::new(9);
     let fog = |x: f64, y: f64| 1.6 * (-y / 120.0).exp() * scene.radiance(x, y).powf(0.3);
     let truth = shift(5.3, -11.6);
     let take = |transform: &Transform, ev| GreyPyramid::new(photograph((512, 384), transform, Shot::at(ev), fog));
     let motion = search(&take(&Transform::Identity, 0.0), &take(&truth, 2.0), 0, &MtbOptions::default()).motion;
-    // On the slope, the brightness rises by one code value in 3 px. A threshold can only be between code values;
-    // nevertheless the motion is right to a tenth of a code value, which is 0.3 px.
+    // On the slope, the brightness rises by one code value in 3 px. A threshold can only be between two code values.
+    // Nevertheless the motion must be right to a tenth of a code value, which is 0.3 px.
     assert!((motion.dx - 5.3).abs() < 0.3 && (motion.dy + 11.6).abs() < 0.3, "{motion:?}");
 }
 
@@ -171,8 +173,8 @@ fn rotation_is_zero_if_not_allowed() {
     assert!(search(&a, &b, 0, &MtbOptions::default()).motion.angle > 0.9f64.to_radians());
 }
 
-/// Returns, for each shift, the share of the compared pixels that differ, by Ward's loop as printed, pixel by pixel; 1
-/// where less than a tenth of the pixels are compared.
+/// Returns the share of the compared pixels that differ for each shift, computed by Ward's loop as printed, pixel by
+/// pixel; 1 if less than a tenth of the pixels is compared.
 fn textbook(a: &Plane<u8>, b: &Plane<u8>, reach: i64, tolerance: u8) -> Vec<(f64, i64, i64)> {
     let median = |p: &Plane<u8>| {
         let mut sorted = p.as_slice().to_vec();
@@ -203,7 +205,7 @@ fn textbook(a: &Plane<u8>, b: &Plane<u8>, reach: i64, tolerance: u8) -> Vec<(f64
 
 #[test]
 fn the_packed_search_is_the_textbooks() {
-    // A width of 75 px is more than a word of 64 bits, and no multiple of it. The picture is too small for a second
+    // A width of 75 px is more than a word of 64 bits, and not a multiple of it. The picture is too small for a second
     // level.
     let take = |transform: &Transform, ev| Scene::new(8).photograph((75, 60), transform, Shot::at(ev));
     for (dx, dy) in [(0.0, 0.0), (4.0, -3.0), (-9.0, 7.0)] {
@@ -247,8 +249,8 @@ fn rivals_are_the_periods_of_a_facade() {
     }
 }
 
-/// In a strip 65,500 px long, there are 386 million shifts of up to 15 % of the length along both axes; each would take
-/// 32 bytes. The search of such strips is limited, but that of photographs of 3:1 is not.
+/// A strip 65,500 px long has 386 million shifts of up to 15 % of its length along both axes, and each would take 32
+/// bytes. So the search range of such strips is limited; that of photographs of 3:1 is not.
 #[test]
 fn strips_are_searched_within_bounds() {
     let pair = |width: usize, height: usize| {

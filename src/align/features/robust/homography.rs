@@ -1,21 +1,21 @@
 //! Homography from point pairs by the normalised direct linear transformation.
 //!
-//! In: pairs of points (reference, frame), with weights. Out: H with x' ~ H x, whose lower right element is 1. Cost: 45
-//! multiply-adds per pair and one 9 x 9 eigenproblem. Source: Hartley & Zisserman, Multiple View Geometry (2nd ed.,
-//! 2004), algorithm 4.2.
+//! In: pairs of points (reference, frame), with weights. Out: the matrix H with x' ~ H x, scaled so that its lower
+//! right element is 1. Cost: 45 multiply-adds per pair, and one 9 x 9 eigenproblem. Source: Hartley & Zisserman,
+//! Multiple View Geometry (2nd ed., 2004), algorithm 4.2.
 
 use crate::align::transform::map;
 use nalgebra::{Matrix3, SMatrix, SVector};
 
-/// A point of the reference and the same point of the frame, in pixels.
+/// A point of the reference and the corresponding point of the frame, in pixels.
 pub type PointPair = ([f64; 2], [f64; 2]);
 
-/// Returns the homography with the least algebraic error for `pairs`, after normalisation.
+/// Returns the homography with the least algebraic error for `pairs`. The error is measured in normalised coordinates.
 ///
-/// `weights`, if given, has one value of at least 0 for each pair; otherwise all weights are 1.
+/// `weights`, if given, has one weight of at least 0 for each pair. Otherwise all weights are 1.
 ///
-/// None if the pairs do not determine a homography (fewer than four, or three of four on a line), if the homography
-/// puts a reference point behind the camera, or if it mirrors the image.
+/// Returns none if the pairs do not determine a homography (there are fewer than four, or three of four on a line), if
+/// the homography maps a reference point to behind the camera, or if it mirrors the image.
 pub fn fit(pairs: &[PointPair], weights: Option<&[f64]>) -> Option<Matrix3<f64>> {
     let weight = |i: usize| weights.map_or(1.0, |w| w[i]);
     if (0..pairs.len()).filter(|&i| weight(i) > 0.0).count() < 4 {
@@ -23,7 +23,8 @@ pub fn fit(pairs: &[PointPair], weights: Option<&[f64]>) -> Option<Matrix3<f64>>
     }
     let from = normalisation(pairs.iter().enumerate().map(|(i, p)| (p.0, weight(i))))?;
     let to = normalisation(pairs.iter().enumerate().map(|(i, p)| (p.1, weight(i))))?;
-    // A^T A for the rows (0, -x, y' x) and (x, 0, -x' x) of eq. 4.3, in normalised coordinates.
+    // The matrix A^T A, in normalised coordinates. A has the rows (0, -x, y' x) and (x, 0, -x' x) of eq. 4.3 for each
+    // pair.
     let mut normal = SMatrix::<f64, 9, 9>::zeros();
     for (i, (p, q)) in pairs.iter().enumerate() {
         let ((x, y), (u, v)) = (map(&from, p[0], p[1]), map(&to, q[0], q[1]));
@@ -50,8 +51,8 @@ pub fn fit(pairs: &[PointPair], weights: Option<&[f64]>) -> Option<Matrix3<f64>>
     (h.iter().all(|v| v.is_finite()) && in_front && h.determinant() > 0.0).then_some(h)
 }
 
-/// Returns the similarity that moves the centroid of `points` to the origin, and scales their root mean square distance
-/// from the origin to sqrt(2).
+/// Returns the similarity that moves the weighted centroid of `points` to the origin, and scales their root mean square
+/// distance from it to sqrt(2).
 fn normalisation(points: impl Iterator<Item = ([f64; 2], f64)> + Clone) -> Option<Matrix3<f64>> {
     let (mut sx, mut sy, mut sw) = (0.0, 0.0, 0.0);
     for (p, w) in points.clone() {
@@ -70,7 +71,8 @@ mod tests {
     fn pairs(h: &Matrix3<f64>, n: usize) -> Vec<PointPair> {
         (0..n)
             .map(|i| {
-                // Points on a parabola, wrapped at the image size: of any four, no three are on a line.
+                // The points are on a parabola that is wrapped at the image size. Of any four points, no three are on a
+                // line.
                 let (x, y) = ((i * 1237 % 4000) as f64, (i * i * 331 % 3000) as f64);
                 let (u, v) = map(h, x, y);
                 ([x, y], [u, v])
@@ -86,8 +88,9 @@ mod tests {
             let h = fit(&pairs(&H, n), None).unwrap();
             for (p, q) in pairs(&H, 50) {
                 let (u, v) = map(&h, p[0], p[1]);
-                // A has a condition number of up to 134 (for four pairs), so A^T A has up to 1.8e4. The relative error
-                // is 1.8e4 times 2e-16, or 4e-12; of 4000 px this is 2e-8 px. The rest of the tolerance is a margin.
+                // A has a condition number of up to 134 (for four pairs), so that of A^T A is up to 1.8e4. The relative
+                // error is 1.8e4 times 2e-16, or 4e-12; for 4000 px this is 2e-8 px. The tolerance is larger to leave a
+                // margin.
                 assert!((u - q[0]).hypot(v - q[1]) < 1e-5, "{n}: {h}");
             }
         }

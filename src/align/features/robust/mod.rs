@@ -1,7 +1,7 @@
-//! Robust estimation: the homography that most of many partly wrong pairs of points support.
+//! Robust estimation: the homography that most of the point pairs support, although many of the pairs are wrong.
 //!
-//! In: pairs of points. Out: [`Consensus`]. Cost: one fit of four pairs for each trial. Source: [`ransac`] and
-//! [`lmeds`], which do not use each other.
+//! In: pairs of points. Out: [`Consensus`]. Cost: one fit to four pairs for each trial. Source: see [`ransac`] and
+//! [`lmeds`], which are independent of each other.
 
 pub(super) mod consensus;
 pub mod homography;

@@ -10,15 +10,15 @@ use std::ops::Range;
 
 /// Number of cells (histograms) along each side of the descriptor.
 const CELLS: usize = 4;
-/// Number of directions per cell.
+/// Number of bins of gradient directions per cell.
 const BINS: usize = 8;
-/// Number of bins of a cell during accumulation: the last one is additional, and is added to the first at the end.
+/// Number of bins of a cell during accumulation. The last one is additional; at the end it is added to the first one.
 const CELL_BINS: usize = BINS + 1;
-/// Number of bins in a row of cells during accumulation, with an additional cell at each end.
+/// Number of bins in a row of cells during accumulation. The row has an additional cell at each end.
 const ROW: usize = (CELLS + 2) * CELL_BINS;
 /// Width of a cell, in units of the keypoint's scale.
 const CELL: f64 = 3.0;
-/// Largest entry of the normalised descriptor: large gradients may be due to the illumination.
+/// Largest entry of the normalised descriptor. It limits large gradients, which may be due to the illumination.
 const CLAMP: f32 = 0.2;
 /// Euclidean length of the stored descriptor.
 pub(in crate::align::features) const LENGTH: f32 = 512.0;
@@ -27,15 +27,15 @@ pub(in crate::align::features) const LENGTH: f32 = 512.0;
 pub(super) fn describe(level: &Plane<f32>, extremum: &Extremum, angle: f32) -> SiftDescriptor {
     let cell = CELL * extremum.sigma;
     let (sin, cos) = ((libm::sin(angle.into()) / cell) as f32, (libm::cos(angle.into()) / cell) as f32);
-    // Samples up to half a cell beyond the outermost cells contribute; those at the corners are sqrt(2) times as far
-    // from the centre.
+    // Samples contribute up to half a cell beyond the outermost cells. At the corners, this is sqrt(2) times as far
+    // from the centre as along the sides.
     let reach = cell * std::f64::consts::SQRT_2 * (CELLS as f64 + 1.0) * 0.5;
     let half = CELLS as f32 / 2.0;
-    // The Gaussian window has a standard deviation of half the descriptor's width, 2 cells.
+    // The Gaussian window has a standard deviation of half the descriptor's width, which is 2 cells.
     let falloff = (0.5 / (f64::from(half) * f64::from(half) * cell * cell)) as f32;
     let Surroundings { columns, rows, weights_x, weights_y } = Surroundings::new(level, extremum, reach, falloff);
     let (mut gradients, mut samples) = (Gradients::default(), Samples::default());
-    // With the additional cells and directions, `Samples::accumulate` needs no tests for the ends.
+    // Because of the additional cells and directions, `Samples::accumulate` needs no special cases at the ends.
     let mut histogram = [0.0f32; (CELLS + 2) * ROW];
     for (y, weight_y) in rows.zip(weights_y) {
         let dy = (y as f64 - extremum.y) as f32;
@@ -62,16 +62,16 @@ pub(super) fn describe(level: &Plane<f32>, extremum: &Extremum, angle: f32) -> S
     vector.map(|v| (v * LENGTH + 0.5) as u8)
 }
 
-/// Samples of a row and their positions among the histograms; the buffers are reused for the next row.
+/// The samples of a row, and their positions in the histograms. The buffers are reused for the next row.
 #[derive(Default)]
 struct Samples {
-    /// Index of the first bin that the sample adds to.
+    /// Index of the first bin that the sample is added to.
     at: Vec<i32>,
-    /// Interpolation towards the next cell to the right, 0..1.
+    /// Share of the sample that goes to the next cell to the right, 0..1.
     right: Vec<f32>,
-    /// Interpolation towards the next cell below, 0..1.
+    /// Share of the sample that goes to the next cell below, 0..1.
     down: Vec<f32>,
-    /// Interpolation towards the next direction, 0..1.
+    /// Share of the sample that goes to the next direction, 0..1.
     turned: Vec<f32>,
     weight: Vec<f32>,
 }
@@ -84,8 +84,8 @@ impl Samples {
         }
     }
 
-    /// Adds every sample to eight bins: those of two rows, two columns and two directions. The last of these is ROW +
-    /// CELL_BINS + 1 after the first.
+    /// Adds every sample to eight bins: two rows of cells times two columns times two directions. The last of these
+    /// bins is ROW + CELL_BINS + 1 after the first one.
     fn accumulate(&self, histogram: &mut [f32; (CELLS + 2) * ROW]) {
         let places = self.at.iter().zip(&self.right).zip(&self.down).zip(&self.turned).zip(&self.weight);
         for ((((at, fc), fr), fo), weight) in places {
@@ -107,14 +107,14 @@ impl Samples {
     }
 }
 
-/// Computes the positions of a row of samples among the histograms.
+/// Computes the positions of a row of samples in the histograms.
 struct SampleRow<'a> {
     /// Column of the keypoint.
     x: f64,
     /// Distance of the row from the keypoint, positive downwards, in pixels.
     dy: f32,
-    /// Sine and, below, cosine of the keypoint's direction, divided by the width of a cell in pixels, to rotate and
-    /// scale offsets.
+    /// `sin` and `cos`: sine and cosine of the keypoint's direction, divided by the width of a cell in pixels. They
+    /// rotate offsets in pixels and scale them to cells.
     sin: f32,
     cos: f32,
     /// Direction of the keypoint.
@@ -143,28 +143,28 @@ impl Loops for SampleRow<'_> {
         let first = first as i32;
         for i in 0..n {
             let dx = (f64::from(first + i as i32) - x) as f32;
-            // Position in cells, along and across the keypoint's direction; 0 is the centre of the additional cell
-            // before the first.
+            // Position in cells, along and across the keypoint's direction. Position 0 is the centre of the additional
+            // cell before the first one.
             let (column, row) = (cos * dx + sin * dy + half + 0.5, cos * dy - sin * dx + half + 0.5);
             let is_inside = !((column <= 0.0) | (row <= 0.0) | (column >= last) | (row >= last));
             let turn = (direction[i] - angle) * (BINS as f32 / (2.0 * PI)) + 2.0 * BINS as f32;
-            // For samples inside, `column`, `row` and `turn` are positive, so that the conversion rounds down.
+            // For samples inside, `column`, `row` and `turn` are positive, so the conversion rounds down.
             let (c, r, o) = (column as i32, row as i32, turn as i32);
             (right[i], down[i], turned[i]) = (column - c as f32, row - r as f32, turn - o as f32);
-            // Samples outside add 0 to the first bins.
+            // Samples outside are added to the first bins with weight 0.
             at[i] = if is_inside { r * ROW as i32 + c * CELL_BINS as i32 + o % BINS as i32 } else { 0 };
             weight[i] = if is_inside { length[i] * (weights_x[i] * weight_y) } else { 0.0 };
         }
     }
 }
 
-/// Returns the columns of a row that are inside the rotated square of half side `side`, and one more at each end.
+/// Returns the columns of a row that are inside a rotated square, and one more column at each end.
 ///
-/// The centre of the square is at column `x`, `dy` pixels above the row. `side` is in the unit by which sine and cosine
-/// are divided.
+/// The centre of the square is at column `x`, `dy` pixels above the row; its sides are 2 `side` long. `side` is in the
+/// unit by which `sin` and `cos` are divided.
 fn crossing(x: f64, dy: f32, (sin, cos): (f32, f32), side: f32) -> Range<usize> {
     let (mut low, mut high) = (f32::NEG_INFINITY, f32::INFINITY);
-    // |cos dx + sin dy| < side, and |cos dy - sin dx| < side.
+    // A sample at column x + dx is inside if |cos dx + sin dy| < side and |cos dy - sin dx| < side.
     for (slope, offset) in [(cos, sin * dy), (-sin, cos * dy)] {
         if slope.abs() > 1e-6 {
             let (a, b) = ((-side - offset) / slope, (side - offset) / slope);
@@ -203,7 +203,7 @@ mod tests {
                 };
                 let inside: Vec<usize> = (0..61).filter(|&x| is_inside(x)).collect();
                 assert!(inside.iter().all(|x| found.contains(x)), "{k} {dy}: {found:?} lacks {inside:?}");
-                // At each end one more column, and another one by rounding.
+                // `found` has one more column at each end, and rounding may add another one at each end.
                 assert!(found.len() <= inside.len() + 4, "{k} {dy}: {found:?} for {inside:?}");
             }
         }

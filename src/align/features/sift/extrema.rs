@@ -1,4 +1,4 @@
-//! Extrema of the differences of Gaussians, with subpixel positions (Lowe 2004, sections 3.1 and 4).
+//! Extrema of the differences of Gaussians, with sub-pixel positions (Lowe 2004, sections 3.1 and 4).
 
 use super::SiftOptions;
 use super::scale_space::{Octave, ScaleSpace};
@@ -17,7 +17,7 @@ pub(super) struct Extremum {
     pub(super) sigma: f64,
     /// |D| at the extremum.
     pub(super) response: f32,
-    /// Whether it is bright: D, the smoother minus the sharper image, is negative there.
+    /// Whether the extremum is bright. If so, D is negative there, because D is the smoother minus the sharper image.
     pub(super) bright: bool,
 }
 
@@ -41,15 +41,15 @@ impl Extremum {
     }
 }
 
-/// Width of the border that is not searched, in samples.
+/// Width of the image border that is not searched for extrema, in samples.
 const BORDER: usize = 5;
-/// Largest number of fits, each at the sample nearest to the previous result.
+/// Largest number of fits. Each one is at the sample nearest to the extremum that the fit before found.
 const MOST_MOVES: usize = 5;
 
-/// Returns all extrema that have enough contrast and are not on an edge, ordered by octave, interval, row, column.
+/// Returns all extrema that have enough contrast and are not on an edge, ordered by octave, interval, row and column.
 pub(super) fn find(space: &ScaleSpace, options: &SiftOptions) -> Vec<Extremum> {
-    // The fit changes the value of a sample by at most about a half of it, so samples weaker than this cannot reach the
-    // required contrast.
+    // The fit of a quadratic changes the value of a sample by at most about half of that value. So weaker samples than
+    // this cannot reach the required contrast.
     let least = (0.5 * options.contrast) as f32;
     let mut found = Vec::new();
     for (index, octave) in space.octaves.iter().enumerate() {
@@ -58,7 +58,7 @@ pub(super) fn find(space: &ScaleSpace, options: &SiftOptions) -> Vec<Extremum> {
             let bands = map_bands(height, |rows| {
                 let mut band = Vec::new();
                 let rows = rows.start.max(BORDER)..rows.end.min(height.saturating_sub(BORDER));
-                // Three rows of D, and the candidates in the middle one.
+                // `window` holds three rows of D. `candidates` marks the candidates in the middle row.
                 let mut window: [Vec<f32>; 3] = std::array::from_fn(|_| vec![0.0; width]);
                 let mut candidates = vec![false; width];
                 for y in rows.clone() {
@@ -79,8 +79,9 @@ pub(super) fn find(space: &ScaleSpace, options: &SiftOptions) -> Vec<Extremum> {
     found
 }
 
-/// Marks the samples where D is at least `least` and no smaller than at the four neighbours in row and column, or at
-/// most -`least` and no larger than there. Only these few samples are compared with all their neighbours later.
+/// Marks the samples where D is at least `least` and not smaller than at the four neighbours (left, right, above,
+/// below), or at most -`least` and not larger than at these neighbours. Only these few samples are compared with all
+/// their neighbours later.
 struct Candidates<'a> {
     up: &'a [f32],
     here: &'a [f32],
@@ -92,7 +93,7 @@ struct Candidates<'a> {
 impl Loops for Candidates<'_> {
     type Output = ();
 
-    // Without branches, so that the compiler can vectorise the loop.
+    // The loop has no branches, so that the compiler can vectorise it.
     #[inline(always)]
     fn run(self) {
         let least = self.least;
@@ -142,10 +143,11 @@ fn find_in_row(
     }
 }
 
-/// Fits a quadratic to D, and moves to the sample nearest to the extremum of the quadratic, until that is the current
-/// sample (section 4, eq. 2 and 3).
+/// Fits a quadratic to D around a sample, and moves to the sample nearest to the extremum of the quadratic, until this
+/// is the sample of the fit (section 4, eq. 2 and 3).
 ///
-/// Returns interval, x and y of the sample, the offset of the extremum from this sample, and D at the extremum.
+/// Returns interval, x and y of the last sample, the offset of the extremum from this sample, and D at the extremum;
+/// none if the moves leave the searched range or do not end.
 fn localise(
     octave: &Octave,
     mut interval: usize,
@@ -177,7 +179,8 @@ fn localise(
     None
 }
 
-/// Whether the ratio of the principal curvatures is at least r: tr(H)^2 / det(H) >= (r + 1)^2 / r (section 4.1).
+/// Whether the ratio of the principal curvatures is at least r, or they have different signs. With the Hessian H of D,
+/// this is the case if tr(H)^2 / det(H) >= (r + 1)^2 / r, or if det(H) <= 0 (section 4.1).
 fn is_edge(octave: &Octave, interval: usize, x: usize, y: usize, r: f64) -> bool {
     let d = |dx: isize, dy: isize| -> f64 {
         octave.difference(interval, x.wrapping_add_signed(dx), y.wrapping_add_signed(dy)).into()

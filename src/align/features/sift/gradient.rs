@@ -1,4 +1,5 @@
-//! Gradients as length and direction, and their Gaussian weights, without functions of the platform's math library.
+//! Gradients as length and direction, and their Gaussian weights. They are computed without the platform's math
+//! library.
 
 use super::extrema::Extremum;
 use crate::plane::Plane;
@@ -6,7 +7,7 @@ use crate::simd::{Loops, atan2, vectorised};
 use std::ops::Range;
 use std::sync::LazyLock;
 
-/// Gradients of a range of one row; the buffers are reused for the next row.
+/// The gradients of a range of columns in one row. The buffers are reused for the next row.
 #[derive(Debug, Default)]
 pub(super) struct Gradients {
     /// The length of each gradient.
@@ -16,7 +17,7 @@ pub(super) struct Gradients {
 }
 
 impl Gradients {
-    /// Computes the gradients at `columns` of row `y`, none of which may be on the border.
+    /// Computes the gradients at `columns` of row `y`. None of these samples may be on the border of the image.
     pub(super) fn fill(&mut self, level: &Plane<f32>, y: usize, columns: Range<usize>) {
         let n = columns.len();
         self.length.resize(n, 0.0);
@@ -39,7 +40,7 @@ struct RowGradients<'a> {
 impl Loops for RowGradients<'_> {
     type Output = ();
 
-    // Without branches, so that the compiler can vectorise the loop.
+    // The loop has no branches, so that the compiler can vectorise it.
     #[inline(always)]
     fn run(self) {
         let n = self.length.len();
@@ -53,8 +54,8 @@ impl Loops for RowGradients<'_> {
     }
 }
 
-/// The samples around an extremum that have neighbours on all sides, and the Gaussian weights of their columns and
-/// rows.
+/// The range of samples around an extremum that have neighbours on all sides, and the Gaussian weights of its columns
+/// and rows.
 pub(super) struct Surroundings {
     pub(super) columns: Range<usize>,
     pub(super) rows: Range<usize>,
@@ -63,8 +64,8 @@ pub(super) struct Surroundings {
 }
 
 impl Surroundings {
-    /// The samples up to `reach` pixels from the extremum, rounded up, with weights exp(-d^2 `falloff`) along each
-    /// axis.
+    /// Returns the samples up to `reach` pixels (rounded up) from the extremum along each axis. At distance d along an
+    /// axis, the weight is exp(-d^2 `falloff`).
     pub(super) fn new(level: &Plane<f32>, extremum: &Extremum, reach: f64, falloff: f32) -> Self {
         let reach = libm::ceil(reach) as isize;
         let within = |centre: f64, n: usize| {
@@ -87,7 +88,7 @@ const STEPS: f32 = 256.0;
 static EXP: LazyLock<Vec<f32>> =
     LazyLock::new(|| (0..=(16.0 * STEPS) as usize).map(|i| libm::exp(-(i as f64) / f64::from(STEPS)) as f32).collect());
 
-/// exp(-t) for t >= 0 with a relative error of at most 1/512; 0 for t >= 16.
+/// Returns exp(-t) for t >= 0, with a relative error of at most about 1/512; 0 beyond the end of the table at t = 16.
 fn exp_minus(t: f32) -> f32 {
     EXP.get((t * STEPS + 0.5) as usize).copied().unwrap_or(0.0)
 }

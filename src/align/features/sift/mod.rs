@@ -1,8 +1,9 @@
-//! SIFT: keypoints invariant to scale and rotation and, within limits, to exposure.
+//! SIFT: keypoints that are invariant to scale and rotation and, within limits, to exposure.
 //!
-//! In: a grey image. Out: its [`Features`]. Cost: five Gaussians per octave (4/3 of the pixels in all, 16/3 if the
-//! image is doubled first), then some thousand operations per keypoint. Source: Lowe, "Distinctive Image Features from
-//! Scale-Invariant Keypoints", IJCV 60(2), 2004; the submodules follow its sections.
+//! In: a grey image. Out: its [`Features`]. Cost: five Gaussian filters in every octave with the default number of
+//! intervals, then some thousand operations per keypoint. All octaves together have 4/3 of the pixels of the image, or
+//! 16/3 if the image is doubled first. Source: Lowe, "Distinctive Image Features from Scale-Invariant Keypoints", IJCV
+//! 60(2), 2004; the submodules follow its sections.
 
 mod descriptor;
 mod extrema;
@@ -19,18 +20,18 @@ use scale_space::ScaleSpace;
 /// Settings of the detector; the defaults are the paper's.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SiftOptions {
-    /// s: scale intervals per octave (section 3.3).
+    /// Number of scale intervals per octave, called s in section 3.3.
     pub intervals: usize,
     /// Standard deviation of the Gaussian at the first scale of an octave, in pixels (section 3.3).
     pub sigma: f64,
-    /// Whether to double the image first, for features of the smallest scale (section 3.3).
+    /// Whether to double the image first, to find features of the smallest scale (section 3.3).
     pub double: bool,
-    /// Least absolute value of the difference of Gaussians at an extremum, for grey values 0..=1 (section 4).
+    /// Least absolute value of the difference of Gaussians at an extremum, for grey values scaled to 0..=1 (section 4).
     pub contrast: f64,
-    /// r: largest ratio of the principal curvatures (section 4.1).
+    /// Largest ratio of the larger to the smaller principal curvature, called r in section 4.1.
     pub edge_ratio: f64,
-    /// Largest number of extrema kept, spread over the image; an extremum with several directions becomes several
-    /// keypoints.
+    /// Largest number of extrema that are kept, spread over the image. An extremum with several directions becomes
+    /// several keypoints.
     pub max_keypoints: usize,
 }
 

@@ -9,10 +9,10 @@ use std::f32::consts::PI;
 const BINS: usize = 36;
 /// Standard deviation of the Gaussian window, in units of the keypoint's scale.
 const WINDOW: f64 = 1.5;
-/// Least height of a peak that becomes a keypoint, relative to the highest.
+/// Least height of a peak that becomes a keypoint, as a share of the highest peak.
 const PEAK: f32 = 0.8;
 
-/// Returns the directions of `extremum`, in radians, -pi..=pi: the highest peaks of the histogram of gradient
+/// Returns the directions of `extremum`, in radians, -pi..=pi. They are the highest peaks of the histogram of gradient
 /// directions.
 pub(super) fn assign(level: &Plane<f32>, extremum: &Extremum) -> Vec<f32> {
     let sigma = WINDOW * extremum.sigma;
@@ -27,7 +27,7 @@ pub(super) fn assign(level: &Plane<f32>, extremum: &Extremum) -> Vec<f32> {
             raw[bin] += length * (w * weight);
         }
     }
-    // Smoothed by (1 4 6 4 1) / 16, so that peaks do not depend on the borders of the bins.
+    // The histogram is smoothed by (1 4 6 4 1) / 16, so that peaks do not depend on the borders of the bins.
     let at = |bins: &[f32; BINS], i: usize, d: usize| bins[(i + BINS + d - 2) % BINS];
     let smooth: [f32; BINS] = std::array::from_fn(|i| {
         (at(&raw, i, 0) + at(&raw, i, 4) + 4.0 * (at(&raw, i, 1) + at(&raw, i, 3)) + 6.0 * raw[i]) / 16.0
@@ -37,7 +37,7 @@ pub(super) fn assign(level: &Plane<f32>, extremum: &Extremum) -> Vec<f32> {
     for i in 0..BINS {
         let (left, here, right) = (at(&smooth, i, 1), smooth[i], at(&smooth, i, 3));
         if here > left && here >= right && here >= PEAK * highest {
-            // Vertex of the parabola through the three bins; the centre of bin i is i + 1/2.
+            // The maximum of the parabola through the three bins. The centre of bin i is i + 1/2.
             let vertex = 0.5 * (left - right) / (left - 2.0 * here + right);
             let angle = (i as f32 + 0.5 + vertex) * (2.0 * PI / BINS as f32) - PI;
             angles.push(if angle > PI { angle - 2.0 * PI } else { angle });

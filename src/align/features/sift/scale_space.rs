@@ -1,18 +1,19 @@
-//! The scale space: octaves of increasingly smooth images, and the differences between them (Lowe 2004, section 3).
+//! The scale space: octaves of increasingly smooth images, and the differences of successive images (Lowe 2004, section
+//! 3).
 
 use super::SiftOptions;
 use crate::plane::Plane;
 use crate::pyramid::{double, every_second, gaussian};
 
-/// Assumed blur of the input image: standard deviation in its pixels (section 3.3).
+/// Assumed blur of the input image: standard deviation in pixels of this image (section 3.3).
 const CAMERA_SIGMA: f64 = 0.5;
-/// Least short side of an octave, in pixels: smaller ones have no useful extrema.
+/// Least short side of an octave, in pixels. Smaller octaves have no useful extrema.
 const LEAST_SIDE: usize = 16;
 
-/// One octave, with s intervals: s + 3 Gaussian images L, each smoother than the one before it.
+/// One octave. With s intervals it has s + 3 Gaussian images L, each smoother than the one before it.
 ///
-/// The s + 2 differences D of successive images are computed on access. Storing them would double the memory and take
-/// more time than the subtraction.
+/// The s + 2 differences D of successive images are computed on access. To store them would double the memory and take
+/// more time than the subtractions.
 pub(super) struct Octave {
     pub(super) gaussians: Vec<Plane<f32>>,
 }
@@ -24,7 +25,7 @@ impl Octave {
         self.gaussians[interval + 1].at(x, y) - self.gaussians[interval].at(x, y)
     }
 
-    /// Computes row `y` of D at `interval`.
+    /// Computes row `y` of the difference D at `interval`.
     pub(super) fn difference_row(&self, interval: usize, y: usize, out: &mut [f32]) {
         let (smoother, sharper) = (self.gaussians[interval + 1].row(y), self.gaussians[interval].row(y));
         for (d, (p, q)) in out.iter_mut().zip(smoother.iter().zip(sharper)) {
@@ -38,12 +39,12 @@ pub(super) struct ScaleSpace {
     pub(super) octaves: Vec<Octave>,
     intervals: usize,
     sigma: f64,
-    /// Size of a pixel of the first octave in pixels of the image: 1/2 if it was doubled.
+    /// Size of a pixel of the first octave in pixels of the image: 1/2 if the image was doubled, otherwise 1.
     first_step: f64,
 }
 
 impl ScaleSpace {
-    /// The scale space of `image`, whose grey values are 0..=1.
+    /// Builds the scale space of `image`, whose grey values are 0..=1.
     pub(super) fn new(image: Plane<f32>, options: &SiftOptions) -> Self {
         let (s, sigma) = (options.intervals, options.sigma);
         let (mut base, blur) =
@@ -71,7 +72,7 @@ impl ScaleSpace {
         self.first_step * (1u64 << octave) as f64
     }
 
-    /// Returns the standard deviation of the Gaussian at a fractional interval, in pixels of its octave.
+    /// Returns the standard deviation of the Gaussian at a fractional interval of an octave, in pixels of this octave.
     pub(super) fn sigma_at(&self, interval: f64) -> f64 {
         self.sigma * libm::exp2(interval / self.intervals as f64)
     }

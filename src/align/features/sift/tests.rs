@@ -11,9 +11,9 @@ fn a_blob_is_found_at_its_place_and_scale() {
             let found = detect(&blobs(128, 120, &[(x, y, sigma, 100.0)]), &options);
             let best = found.keypoints.iter().max_by(|a, b| a.response.total_cmp(&b.response)).unwrap();
             assert!((f64::from(best.x) - x).abs() < 0.1 && (f64::from(best.y) - y).abs() < 0.1, "{best:?}");
-            // For a blob with standard deviation b, L(s) at its centre is proportional to 1 / (1 + s^2 / b^2). So |D| =
-            // |L(k s) - L(s)| is largest where k s^2 = b^2, at s = b / sqrt(k) = 0.89 b. The assumed blur of 0.5 px
-            // hardly matters.
+            // Let L(s) be the image smoothed with standard deviation s. For a blob with standard deviation b, L(s) at
+            // its centre is proportional to 1 / (1 + s^2 / b^2). So |D| = |L(k s) - L(s)| is largest where k s^2 = b^2,
+            // at s = b / sqrt(k) = 0.89 b. The assumed blur of 0.5 px hardly matters.
             assert!((f64::from(best.scale) / (0.89 * sigma) - 1.0).abs() < 0.1, "{best:?} for {sigma}");
         }
     }

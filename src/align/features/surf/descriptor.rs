@@ -5,12 +5,12 @@ use crate::align::features::{Keypoint, SurfDescriptor};
 
 /// Number of cells along each side of the descriptor.
 const CELLS: usize = 4;
-/// Number of samples along each side of a cell; the keypoint's scale is their distance.
+/// Number of samples along each side of a cell. Neighbouring samples are as far apart as the keypoint's scale.
 const SAMPLES: usize = 5;
 /// Standard deviation of the Gaussian weights, in units of the keypoint's scale.
 const SIGMA: f32 = 3.3;
-/// Euclidean length of the stored descriptor. With a larger length, more entries would exceed a signed byte and be
-/// clamped.
+/// Euclidean length of the stored descriptor. With a larger length, more entries would exceed the range of a signed
+/// byte and be clamped.
 pub(in crate::align::features) const LENGTH: f32 = 256.0;
 
 /// Returns the descriptor of `point` relative to the direction `angle`: for each cell the sums of dx, |dx|, dy and
@@ -18,7 +18,7 @@ pub(in crate::align::features) const LENGTH: f32 = 256.0;
 pub(super) fn describe(integral: &Integral, point: &Keypoint, angle: f32) -> SurfDescriptor {
     let (sin, cos) = (libm::sinf(angle), libm::cosf(angle));
     let s = point.scale;
-    // The wavelets have a side of 2 s.
+    // The Haar wavelets have a side of 2 s.
     let half = ((s + 0.5) as usize).max(1);
     let mut sums = [0.0f32; 4 * CELLS * CELLS];
     let side = CELLS * SAMPLES;

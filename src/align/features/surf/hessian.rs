@@ -6,37 +6,39 @@ use super::integral::Integral;
 use crate::align::features::{Keypoint, interpolation};
 use crate::plane::{Plane, map_bands};
 
-/// Number of filters in an octave: a maximum can only be at the second or the third.
+/// Number of filters in an octave. A maximum over three neighbouring filters can only be at the second or the third
+/// one.
 const FILTERS: usize = 4;
 /// Side of the smallest filter, in pixels.
 const SMALLEST: usize = 9;
 /// Scale of the smallest filter: the standard deviation of the Gaussian that it approximates, in pixels.
 const SMALLEST_SCALE: f64 = 1.2;
-/// Weight of Dxy, which balances the norms of the filters (equation 3).
+/// Weight of Dxy, which makes the filter for xy comparable with those for xx and yy (equation 3).
 const BALANCE: f32 = 0.9;
 
-/// Returns the side of filter `index` of octave `octave`, in pixels: 9, 15, 21, 27; 15, 27, 39, 51; 27, 51, 75, 99; ...
+/// Returns the side of filter `index` of octave `octave`, in pixels. The sides are 9, 15, 21, 27 in the first octave;
+/// 15, 27, 39, 51 in the second; 27, 51, 75, 99 in the third; and so on.
 pub(super) fn side(octave: usize, index: usize) -> usize {
-    // The growth from filter to filter doubles with each octave. The smallest filter of an octave is the second of the
-    // octave before.
+    // The growth from filter to filter doubles with each octave. The smallest filter of an octave has the size of the
+    // second filter of the octave before.
     let growth = 6 << octave;
     SMALLEST + (growth - 6) + growth * index
 }
 
-/// The determinants of the Hessian with one filter, at every `step`-th pixel; 0 where the filter is not inside the
-/// image.
+/// The determinants of the Hessian with one filter, at every `step`-th pixel; 0 if the filter is not inside the image.
 struct Responses {
     step: usize,
     side: usize,
     determinants: Plane<f32>,
 }
 
-/// Returns the second derivatives xx, yy and xy at a pixel, for grey values 0..=1, divided by the area of the filter.
+/// Returns the second derivatives xx, yy and xy at a pixel, for grey values scaled to 0..=1, divided by the area of the
+/// filter.
 fn derivatives(integral: &Integral, x: usize, y: usize, side: usize) -> [f32; 3] {
     let (lobe, half) = (side / 3, side / 2);
     let (left, right, top, bottom) = (x - half, x + half + 1, y - half, y + half + 1);
-    // The filters of xx and yy have three lobes, each `lobe` pixels (a third of the side) long and 2 `lobe` - 1 pixels
-    // wide.
+    // The filters of xx and yy have three lobes. Each lobe is `lobe` pixels (a third of the side) long in the direction
+    // of the derivative, and 2 `lobe` - 1 pixels wide.
     let across = |at: usize| (at + 1 - lobe, at + lobe);
     let middle = |at: usize| (at - lobe / 2, at + lobe / 2 + 1);
     let signed = |sum: u32| sum as i32;
@@ -50,14 +52,14 @@ fn derivatives(integral: &Integral, x: usize, y: usize, side: usize) -> [f32; 3]
     [xx, yy, xy].map(|d| d as f32 * scale)
 }
 
-/// Returns the determinant of the Hessian from its elements.
+/// Returns the determinant of the Hessian with the elements xx, yy and xy.
 fn determinant([xx, yy, xy]: [f32; 3]) -> f32 {
     xx * yy - (BALANCE * xy) * (BALANCE * xy)
 }
 
 /// Computes the determinants at every `step`-th pixel of row `y`, from column `x` on, for all elements of `out`.
 ///
-/// The boxes of a row share their upper and lower edges, so ten reads from three rows of differences replace the 32
+/// All boxes of a row have the same upper and lower edges. So ten reads from three rows of differences replace the 32
 /// reads of [`derivatives`].
 fn fill_row(integral: &Integral, (x, y): (usize, usize), step: usize, side: usize, out: &mut [f32]) {
     let (lobe, half) = (side / 3, side / 2);
@@ -69,8 +71,8 @@ fn fill_row(integral: &Integral, (x, y): (usize, usize), step: usize, side: usiz
     let flat = rows(y + 1 - lobe, y + lobe);
     let upright = minus(rows(y - half, y + half + 1), rows(y - lobe / 2, y + lobe / 2 + 1), 3);
     let corners = minus(rows(y + 1, y + 1 + lobe), rows(y - lobe, y), 1);
-    // Element i of `right_of_edge(row)(offset)` is the value of `row` that is `offset` pixels right of the left edge of
-    // the filter at pixel x + i.
+    // Element i of the slice `right_of_edge(row)(offset)` belongs to the filter at pixel x + i. It is the value of
+    // `row` that is `offset` pixels to the right of the left edge of this filter.
     let length = (out.len() - 1) * step + 1;
     let right_of_edge = |row| move |offset: usize| -> &[u32] { &Vec::as_slice(row)[x - half + offset..][..length] };
     let [left, inner_left, inner_right, right] =
@@ -103,13 +105,13 @@ impl Responses {
         Responses { step, side, determinants }
     }
 
-    /// Returns the number of samples at each border for which the filter is not inside the image.
+    /// Returns the number of samples at each border of the image for which the filter is not inside the image.
     fn border(&self) -> usize {
         (self.side / 2) / self.step + 1
     }
 }
 
-/// Returns the maxima that have at least the required strength, in pixels of the image; their directions are not
+/// Returns the maxima that have at least the required strength, in pixels of the image. Their directions are not
 /// computed yet.
 pub(super) fn find(integral: &Integral, options: &SurfOptions) -> Vec<Keypoint> {
     let mut found = Vec::new();
@@ -135,7 +137,7 @@ pub(super) fn find(integral: &Integral, options: &SurfOptions) -> Vec<Keypoint> 
     found
 }
 
-/// Adds the maxima of row `y` of the middle one of `three` responses to `found`.
+/// Adds the maxima in row `y` of the middle one of the `three` responses to `found`.
 fn find_in_row(integral: &Integral, three: &[Responses], y: usize, options: &SurfOptions, found: &mut Vec<Keypoint>) {
     let here = &three[1];
     let (row, border) = (here.determinants.row(y), three[2].border());
@@ -148,7 +150,7 @@ fn find_in_row(integral: &Integral, three: &[Responses], y: usize, options: &Sur
         let at = |dx: isize, dy: isize, ds: isize| -> f32 {
             three[1usize.wrapping_add_signed(ds)].determinants.at(x.wrapping_add_signed(dx), y.wrapping_add_signed(dy))
         };
-        // Of equal neighbours the last is the maximum.
+        // If neighbouring samples are equal, only the last one counts as the maximum.
         let is_maximum = (-1..=1).all(|ds| {
             (-1..=1).all(|dy| {
                 (-1..=1).all(|dx| if (ds, dy, dx) > (0, 0, 0) { v > at(dx, dy, ds) } else { v >= at(dx, dy, ds) })
@@ -157,8 +159,8 @@ fn find_in_row(integral: &Integral, three: &[Responses], y: usize, options: &Sur
         if !is_maximum {
             continue;
         }
-        // Interpolates the position of the maximum between the samples, and drops the maximum if this position is more
-        // than one sample away from the sampled maximum in any direction.
+        // Interpolates the position of the maximum between the samples. Drops the maximum if this position is more than
+        // one sample away from the sampled maximum in any direction.
         let near = interpolation::extremum(|dx, dy, ds| at(dx, dy, ds).into())
             .filter(|(offset, _)| offset.iter().all(|o| o.abs() <= 1.0));
         if let Some((offset, determinant)) = near {
@@ -211,7 +213,7 @@ mod tests {
         })
     }
 
-    /// The filters of figure 1 of the paper, as tables of weights.
+    /// The expected values come from the filters of figure 1 of the paper, as tables of weights.
     #[test]
     fn derivatives_are_the_sums_of_weighted_pixels() {
         let grey = picture(40, 40);
@@ -238,7 +240,7 @@ mod tests {
             }
             let found = derivatives(&integral, x, y, side);
             for (f, e) in found.iter().zip(expected) {
-                // The sums are exact integers below 2^24; only the quotients, which are below 1, are rounded.
+                // The sums are exact integers below 2^24. Only the quotients, which are below 1, are rounded.
                 assert!((f - e / (255 * side * side) as f32).abs() < 1e-5, "{side}: {found:?} {expected:?}");
             }
         }

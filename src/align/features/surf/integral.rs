@@ -1,13 +1,13 @@
-//! The integral image: sums over boxes of any size from four of its values (Bay 2006, section 3.1).
+//! The integral image, which gives the sum over a box of any size from only four values (Bay 2006, section 3.1).
 
 use crate::plane::Plane;
 
-/// For every corner of a pixel, the sum of all grey values above and to the left of it.
+/// For every corner between pixels, the sum of all grey values above it and to its left.
 ///
-/// The sums wrap around in 32 bits. Nevertheless the sum over a box of up to 16 million pixels, a difference of them,
-/// is exact.
+/// The sums wrap around in 32 bits. Nevertheless the sum over a box of up to 16 million pixels is exact, because it is
+/// a difference of these sums and fits into 32 bits itself.
 pub(super) struct Integral {
-    /// Has one column and one row more than the image.
+    /// The sums. This plane has one column and one row more than the image.
     sums: Plane<u32>,
 }
 
@@ -48,11 +48,11 @@ impl Integral {
         self.sums.row(bottom).iter().zip(self.sums.row(top)).map(|(below, above)| below.wrapping_sub(*above)).collect()
     }
 
-    /// Returns the responses of the Haar wavelets in x and in y: right half minus left half, and lower half minus upper
-    /// half, of a square around (x, y) whose side is 2 `half` pixels. Zero where the square is not inside the image.
+    /// Returns the responses of the two Haar wavelets on the square around (x, y) whose side is 2 `half` pixels: right
+    /// half minus left half, and lower half minus upper half. Both are 0 if the square is not inside the image.
     pub(super) fn haar(&self, x: f32, y: f32, half: usize) -> [f32; 2] {
-        // The square is centred on the corner of pixels that is nearest to (x, y). The conversion makes negative
-        // positions 0.
+        // The square is centred on the pixel corner that is nearest to (x, y). The conversion turns negative positions
+        // into 0.
         let (x, y) = ((x + 1.0) as usize, (y + 1.0) as usize);
         if x < half || y < half || x + half > self.width() || y + half > self.height() {
             return [0.0; 2];
@@ -61,8 +61,8 @@ impl Integral {
         let (top, bottom) = (y - half, y + half);
         let (above, middle, below) = (self.sums.row(top), self.sums.row(y), self.sums.row(bottom));
         let between = |low: u32, high: u32| high.wrapping_sub(low);
-        // Sums over the halves of the square. Their differences are exact as signed numbers, although the sums wrap
-        // around.
+        // These are the sums over the halves of the square. Although the sums wrap around, their differences are exact
+        // as signed numbers.
         let west = between(between(above[left], above[x]), between(below[left], below[x]));
         let east = between(between(above[x], above[right]), between(below[x], below[right]));
         let north = between(between(above[left], above[right]), between(middle[left], middle[right]));
@@ -96,7 +96,7 @@ mod tests {
     fn wavelets_are_differences_of_halves() {
         let (grey, integral) = (picture(), Integral::new(&picture()));
         for (x, y, half) in [(20.0, 16.0, 3), (7.3, 9.8, 5), (2.0, 2.0, 2), (19.6, 12.4, 1)] {
-            // The centre of pixel i is at i, its edges are half a pixel away.
+            // The centre of pixel i is at i, and its edges are half a pixel away.
             let (cx, cy) = ((x + 0.5f32).round() - 0.5, (y + 0.5f32).round() - 0.5);
             let mut expected = [0.0f32; 2];
             for row in 0..33 {

@@ -2,7 +2,7 @@
 //! times as many keypoints as SIFT (table in `docs/how/features.md`).
 //!
 //! In: a grey image. Out: its [`Features`]. Cost: about 20 additions per pixel for each of the four filters of the
-//! first octave, less than half for each further octave, then some thousand additions per keypoint. Source: Bay,
+//! first octave, less than half of that for each further octave, and some thousand additions per keypoint. Source: Bay,
 //! Tuytelaars & Van Gool, "SURF: Speeded Up Robust Features", ECCV 2006; each submodule implements one of its sections.
 
 mod descriptor;
@@ -18,16 +18,16 @@ use crate::pyramid::double;
 use integral::Integral;
 use rayon::prelude::*;
 
-/// Settings of the detector; the defaults are those of the paper where it has any.
+/// Settings of the detector. The defaults are those of the paper, where it states values.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SurfOptions {
-    /// Number of octaves (section 3.2: keypoints become rare after four).
+    /// Number of octaves. After four octaves, keypoints become rare (section 3.2).
     pub octaves: usize,
-    /// Whether to double the image first, for features of the smallest scale (section 3.2).
+    /// Whether to double the image first, to find features of the smallest scale (section 3.2).
     pub double: bool,
-    /// Least determinant of the Hessian at an extremum, for grey values 0..=1.
+    /// Least determinant of the Hessian at an extremum, for grey values scaled to 0..=1.
     pub contrast: f64,
-    /// Largest number of keypoints, spread over the image.
+    /// Largest number of keypoints that are kept, spread over the image.
     pub max_keypoints: usize,
 }
 
@@ -43,7 +43,7 @@ impl Default for SurfOptions {
 pub fn detect(grey: &Plane<u8>, options: &SurfOptions) -> Features {
     let step = if options.double { 0.5 } else { 1.0 };
     let integral = if options.double {
-        // Grey values are not negative, so that adding 0.5 before the conversion rounds them.
+        // Grey values are not negative, so adding 0.5 before the conversion rounds them to the nearest integer.
         Integral::new(&double(&grey.map(f32::from)).map(|v| (v + 0.5) as u8))
     } else {
         Integral::new(grey)

@@ -7,17 +7,17 @@ use std::f32::consts::PI;
 
 /// Radius of the circle in which wavelets are sampled, in units of the keypoint's scale.
 const RADIUS: i32 = 6;
-/// Side of a wavelet, in units of the scale.
+/// Side of a Haar wavelet, in units of the keypoint's scale.
 const WAVELET: f32 = 4.0;
-/// Standard deviation of the Gaussian weights, in units of the scale.
+/// Standard deviation of the Gaussian weights, in units of the keypoint's scale.
 const SIGMA: f32 = 2.5;
 /// Width of the sliding window of directions, in radians.
 const WINDOW: f32 = PI / 3.0;
 
 /// Returns the direction of `point` in radians, -pi..=pi.
 ///
-/// A window of 60 degrees slides over the directions of the wavelet responses. The result is the direction of the
-/// longest sum of the responses within the window.
+/// A window of 60 degrees slides over the directions of the wavelet responses. In each position, the responses within
+/// the window are added as vectors. The result is the direction of the longest sum.
 pub(super) fn assign(integral: &Integral, point: &Keypoint) -> f32 {
     let s = point.scale;
     let half = (0.5 * WAVELET * s + 0.5) as usize;
@@ -38,7 +38,7 @@ pub(super) fn assign(integral: &Integral, point: &Keypoint) -> f32 {
     }
     responses.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut longest = (0.0, 0.0);
-    // Every window starts at one of the responses; after the last response, `end` continues with the first.
+    // Every window starts at one of the responses. After the last response, `end` continues with the first response.
     let (n, mut end, mut sum) = (responses.len(), 0, [0.0f64; 2]);
     for start in 0..n {
         while end < start + n {

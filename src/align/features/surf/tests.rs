@@ -11,12 +11,12 @@ fn blob_is_found_at_its_position_and_scale() {
                 let options = SurfOptions { double, ..SurfOptions::default() };
                 let found = detect(&blobs(128, 120, &[(x, y, sigma, height)]), &options);
                 let best = found.keypoints.iter().max_by(|a, b| a.response.total_cmp(&b.response)).unwrap();
-                // The second octave samples only every second pixel, so positions are less precise than with SIFT.
+                // The second octave samples only every second pixel, so positions are less precise than those of SIFT.
                 assert!((f64::from(best.x) - x).abs() < 0.3 && (f64::from(best.y) - y).abs() < 0.3, "{best:?}");
-                // For a blob with standard deviation b, the best box filter has a middle lobe from one inflection point
-                // to the other, 2 b long. Its side is three lobes, 6 b, and its scale 1.2 / 9 of the side, 0.8 b. A
-                // parabola through filters whose sides differ by a factor of up to 1.7 finds this scale within a
-                // seventh.
+                // For a blob with standard deviation b, the middle lobe of the best box filter reaches from one
+                // inflection point to the other, so it is 2 b long. The side of the filter is three lobes, 6 b, and its
+                // scale is 1.2 / 9 of the side, 0.8 b. The sides of neighbouring filters differ by a factor of up to
+                // 1.7. A parabola through their responses finds the scale with an error of at most a seventh.
                 assert!((f64::from(best.scale) / (0.8 * sigma) - 1.0).abs() < 1.0 / 7.0, "{best:?} for {sigma}");
                 assert_eq!(best.bright, bright);
             }
@@ -34,14 +34,14 @@ fn faint_blobs_and_edges_are_not_features() {
     }
 }
 
-/// Box filters do not rotate with the image, so there are fewer matches than with SIFT, and a smaller share of them is
+/// Box filters do not rotate with the image. So there are fewer matches than with SIFT, and a smaller share of them is
 /// correct.
 #[test]
 fn features_survive_rotation_scale_and_contrast() {
     check_repeatability(|grey| detect(grey, &SurfOptions { contrast: 1e-4, ..SurfOptions::default() }), (15, 0.75));
 }
 
-/// The image becomes brighter in a known direction.
+/// In this test, the image becomes brighter in a known direction.
 #[test]
 fn direction_is_that_of_the_gradients() {
     for degrees in [-170.0f32, -60.0, 0.0, 35.0, 90.0] {
@@ -54,7 +54,7 @@ fn direction_is_that_of_the_gradients() {
         let point = Keypoint { x: 50.0, y: 50.0, scale: 2.0, angle: 0.0, response: 1.0, bright: true };
         let angle = orientation::assign(&Integral::new(&ramp), &point).to_degrees();
         let turn = (angle - degrees + 540.0).rem_euclid(360.0) - 180.0;
-        // Grey values are rounded: the slope is known to a hundredth, so its direction to 0.01 rad = 0.6 degrees.
+        // Grey values are rounded, so the slope is known to a hundredth, and its direction to 0.01 rad = 0.6 degrees.
         assert!(turn.abs() < 1.0, "{angle} for {degrees}");
     }
 }

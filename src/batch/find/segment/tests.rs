@@ -1,8 +1,9 @@
-//! Tests with simulated memory cards of photographers with many habits: how many of their brackets are found exactly.
+//! Tests with simulated memory cards. The simulated photographers have many different habits. The tests count how
+//! many of their brackets are found exactly.
 
 use super::*;
 
-/// A generator of random numbers that depend only on the seed: SplitMix64.
+/// A generator of pseudo-random numbers (SplitMix64). The numbers depend only on the seed.
 struct Chance(u64);
 
 impl Chance {
@@ -18,7 +19,7 @@ impl Chance {
         low + (high - low) * self.next()
     }
 
-    /// Returns a factor between `low` and `high`, uniformly distributed in the logarithm.
+    /// Returns a random number between `low` and `high`, whose logarithm is uniformly distributed.
     fn scaled(&mut self, low: f64, high: f64) -> f64 {
         libm::exp(self.within(libm::log(low), libm::log(high)))
     }
@@ -39,29 +40,30 @@ struct Habit {
     counts: &'static [usize],
     steps: &'static [f64],
     mode: Mode,
-    /// Probability that the camera records the position of a frame in its bracket.
+    /// Probability that the camera records the position of each frame in its bracketing sequence.
     places: f64,
-    /// Shortest and longest typical pause within the brackets of a card, in seconds.
+    /// Each card has a typical pause within brackets. This is the smallest and the largest value it can have, in
+    /// seconds.
     gaps: (f64, f64),
-    /// Largest factor by which a pause within a bracket differs from the typical one.
+    /// Largest factor between a pause within a bracket and the typical pause of the card, in both directions.
     uneven: f64,
     /// Shortest and longest pause between brackets, in seconds.
     pauses: (f64, f64),
     /// The shortest and the longest shutter time of the middle frame, in seconds.
     times: (f64, f64),
-    /// Probability that a bracket is exposed like the previous one.
+    /// Probability that the middle exposure of a bracket is that of the previous bracket.
     alike: f64,
     /// Probability of single frames before a bracket.
     singles: f64,
     /// Shortest and longest pause before a single frame, in seconds.
     single_pauses: (f64, f64),
-    /// Probability of a burst of one exposure before a bracket.
+    /// Probability that a burst of photographs with the same exposure precedes a bracket.
     bursts: f64,
-    /// Probability that a frame of a bracket is missing.
+    /// Probability that one frame of a bracket is missing.
     cuts: f64,
     /// Probability that the number of frames, the step and the order change before a bracket.
     changes: f64,
-    /// Every second bracket is taken in reverse order.
+    /// If true, every second bracket is taken in reverse order.
     is_to_and_fro: bool,
 }
 
@@ -103,9 +105,10 @@ const MANUAL: Habit = Habit {
     is_to_and_fro: false,
 };
 
-/// Each habit of photographers, and the percentage of its brackets that must be found exactly: the measured one,
-/// rounded down, for 8 simulated memory cards. The table in docs/reference/bracket-detection.md has the percentages for
-/// 60 cards. (Brackets with deleted frames cannot all be found: two frames a third of a stop apart are not a bracket.)
+/// Returns all habits, each with the smallest percentage of its brackets that must be found exactly. This is the
+/// percentage measured with 8 simulated memory cards, rounded down. The table in docs/reference/bracket-detection.md
+/// has the percentages for 60 cards. Brackets with deleted frames cannot all be found: two remaining frames that
+/// differ by a third of a stop are not a bracket.
 fn habits() -> Vec<(Habit, f64)> {
     vec![
         (AUTO, 100.0),
@@ -240,7 +243,8 @@ struct CameraClock {
     marks_end: bool,
 }
 
-/// Returns the positions of the frames of a bracket, in steps from the middle, in one of the orders that cameras use.
+/// Returns one of the orders in which cameras take a bracket: for each frame, its distance from the middle exposure
+/// in steps.
 fn order(chance: &mut Chance, count: usize, mode: Mode) -> Vec<f64> {
     let middle = (count - 1) as f64 / 2.0;
     let up: Vec<f64> = (0..count).map(|i| i as f64 - middle).collect();
@@ -258,7 +262,7 @@ fn order(chance: &mut Chance, count: usize, mode: Mode) -> Vec<f64> {
             [0.0].into_iter().chain(others).collect()
         }
         4 if count % 2 == 1 => {
-            // 0, -1, 1, -2, 2.
+            // This gives 0, -1, 1, -2, 2.
             (0..count).map(|i| if i % 2 == 1 { -(i.div_ceil(2) as f64) } else { (i / 2) as f64 }).collect()
         }
         _ => up,
@@ -270,7 +274,7 @@ struct Card {
     truth: Vec<Range<usize>>,
 }
 
-/// Returns a step for a bracket of `count` frames within the camera's range of shutter times.
+/// Returns an exposure step for a bracket of `count` frames. The range of the bracket is then from 0.6 to 16 stops.
 fn step(chance: &mut Chance, habit: &Habit, count: usize) -> f64 {
     loop {
         let step = chance.of(habit.steps);
@@ -280,12 +284,12 @@ fn step(chance: &mut Chance, habit: &Habit, count: usize) -> f64 {
     }
 }
 
-/// Returns an exposure for the middle frame, in thirds of a stop.
+/// Returns an exposure for the middle frame, in stops, rounded to thirds of a stop.
 fn metered(chance: &mut Chance, habit: &Habit) -> f64 {
     libm::round(3.0 * libm::log2(chance.scaled(habit.times.0, habit.times.1))) / 3.0
 }
 
-/// Returns a card of `brackets` brackets by one photographer with one camera.
+/// Returns a memory card with `brackets` brackets that one photographer took with one camera.
 fn card(habit: &Habit, brackets: usize, seed: u64) -> Card {
     let mut chance = Chance(seed.wrapping_mul(0x0123_4567_89AB_CDEF) ^ 77);
     let clock = CameraClock { resolution_s: chance.of(&[1.0, 1.0, 0.01, 0.001]), marks_end: chance.is(0.25) };
@@ -296,7 +300,8 @@ fn card(habit: &Habit, brackets: usize, seed: u64) -> Card {
     let tempo = chance.scaled(habit.gaps.0, habit.gaps.1);
     let (mut now, mut card) = (0.0, Card { exposures: Vec::new(), truth: Vec::new() });
     let mut middle = metered(&mut chance, habit);
-    // Recorded exposures differ from thirds of a stop by up to 0.06 stops; equal exposures by the same amount.
+    // Recorded exposures differ from exact thirds of a stop; here by up to 0.06 stops. Equal exposures get the same
+    // difference.
     let printed = |ev: f64| ev + 0.06 * libm::sin(libm::round(ev * 3.0) * 12.3);
     let take = |card: &mut Card, now: &mut f64, ev: f64, mode: Mode, place: Option<f64>, pause: f64| {
         let ev = printed(ev);
@@ -325,8 +330,8 @@ fn card(habit: &Habit, brackets: usize, seed: u64) -> Card {
         if !chance.is(habit.alike) {
             middle = metered(&mut chance, habit);
         }
-        // Mode of the frames between the brackets: automatic if the camera brackets automatically, otherwise that of
-        // the brackets.
+        // Mode of the frames between the brackets: `Automatic` if the camera takes the brackets automatically,
+        // otherwise the mode of the brackets.
         let mode = if habit.mode == Mode::AutoBracket { Mode::Automatic } else { habit.mode };
         let place = says_places.then_some(0.0);
         if chance.is(habit.singles) {
@@ -367,8 +372,8 @@ fn found(exposures: &[TimedExposure]) -> Vec<Range<usize>> {
     brackets(exposures, rhythm::clock(exposures), &RULES)
 }
 
-/// Returns the number of brackets on the cards, the number of these that are found exactly, and the number of found
-/// brackets that are wrong.
+/// Returns three numbers: the brackets on the cards, those of them that were found exactly, and the found brackets
+/// that are wrong.
 fn score(habit: &Habit, cards: u64) -> (usize, usize, usize) {
     (0..cards).fold((0, 0, 0), |(all, right, wrong), seed| {
         let card = card(habit, 12, seed + 1000);
@@ -385,7 +390,8 @@ fn brackets_of_many_habits_are_found_as_they_were_taken() {
         let (all, right, wrong) = score(&habit, 8);
         let share = 100.0 * right as f64 / all as f64;
         println!("{:40} {right:4} of {all:4} ({share:5.1} %), {wrong} others", habit.name);
-        // Most wrong brackets contain one or two stray frames beside frames of another exposure.
+        // A few wrong brackets are allowed. Most of them contain one or two stray frames beside frames of another
+        // exposure.
         if share < least || wrong > all / 6 {
             failed.push(format!("{}: {share:.1} % of {least} %, {wrong} others", habit.name));
         }
@@ -403,7 +409,8 @@ fn snapshots_are_not_brackets() {
             .map(|_| {
                 let pause = chance.scaled(0.5, 300.0);
                 now += pause;
-                // Photographs less than 3 s apart are of one scene: their exposures differ by up to 0.7 stops.
+                // Photographs less than 3 s apart show the same scene, so their exposures differ by at most 0.7
+                // stops.
                 let metered = if pause < 3.0 { ev + chance.within(-0.7, 0.7) } else { chance.within(-11.0, -4.0) };
                 ev = libm::round(3.0 * metered) / 3.0;
                 TimedExposure {
@@ -425,8 +432,8 @@ fn snapshots_are_not_brackets() {
     assert_eq!(found, 0);
 }
 
-/// Five exposures of Canon's 300D: a bracket of three, the compensation changed by three stops, and the start of
-/// another bracket.
+/// Five exposures of a Canon 300D: a bracket of three, then the compensation was changed by three stops, and another
+/// bracket was started. Together the five have even steps, so they are one bracket.
 #[test]
 fn shifted_bracket_is_continued() {
     let exposure = |at_s: f64, ev: f64, place: f64, bias: f64| TimedExposure {
@@ -451,7 +458,8 @@ fn shifted_bracket_is_continued() {
         .clone()
         .map(|exposure| TimedExposure { bias: Some(exposure.bias.unwrap() + exposure.place.unwrap()), ..exposure });
     assert_eq!(self::found(&as_summed), vec![0..5]);
-    // If the compensation is not recorded, the second bracket may as well have been interrupted.
+    // Without the recorded compensation, the last two frames may be another bracket that was interrupted. So the
+    // first bracket has only three frames.
     let unsaid = shifted.map(|exposure| TimedExposure { bias: None, ..exposure });
     assert_eq!(self::found(&unsaid)[0], 0..3);
 }

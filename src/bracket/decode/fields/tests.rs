@@ -48,7 +48,7 @@ fn png_of_raw_profiles_has_its_exif() {
     assert_eq!(exposure(&png(&|e| e.add_itxt_chunk(name.clone(), with_marker.clone()).unwrap())), expected);
     let other = "Raw profile type APP1".to_owned();
     assert_eq!(exposure(&png(&|e| e.add_ztxt_chunk(other.clone(), with_marker.clone()).unwrap())), expected);
-    // Profiles with a wrong length or without digits are ignored.
+    // Raw profiles with a wrong length or without digits are ignored.
     for bad in [with_marker.replace("exif\n ", "exif\n9"), with_marker.replace('4', "x"), String::new()] {
         assert_eq!(exposure(&png(&|e| e.add_ztxt_chunk(name.clone(), bad.clone()).unwrap())), (None, None));
     }
@@ -75,7 +75,8 @@ fn tiff_with_its_exposure_in_the_first_directory_has_it() {
     let picture = || with(with(rgb(5, 4, DATA), time(1, 60)), (33437, 5, vec![28, 10]));
     let data: Vec<u8> = (0..60).collect();
     assert_eq!(exposure(&file(&data, &[picture()])), (Some(1.0 / 60.0), Some(2.8)));
-    // Where a thumbnail comes first, its tags complete those of the picture, except for the orientation.
+    // Where the first directory describes a thumbnail, tags that the picture lacks are taken from this directory,
+    // except for the orientation.
     let turned = (274, 3, vec![6]);
     let thumbnail = with(with(with(rgb(1, 1, DATA), (254, 4, vec![1])), time(1, 30)), turned.clone());
     assert_eq!(exposure(&file(&data, &[thumbnail.clone(), rgb(5, 4, DATA)])), (Some(1.0 / 30.0), None));

@@ -19,10 +19,10 @@ pub(super) struct Layout {
     /// The horizontal and vertical sampling factor of each component.
     pub sampling: Vec<[u8; 2]>,
     pub progressive: bool,
-    /// Ranges of bytes between segments that are to be removed.
+    /// Ranges of bytes between segments that must be removed before decoding.
     pub junk: Vec<Range<usize>>,
-    /// For each component, its identifier and, for each coefficient, the lowest bit that was sent, plus one; 0 for a
-    /// coefficient that was not sent.
+    /// For each component: its identifier, and for each of its 64 coefficients, 1 plus the lowest bit that was sent, or
+    /// 0 if the coefficient was not sent.
     sent: Vec<(u8, [u8; 64])>,
     /// Index just past the entropy-coded data of each scan.
     pub scan_ends: Vec<usize>,
@@ -40,7 +40,8 @@ impl Layout {
         let mut at = 2;
         loop {
             let marker = next_marker(bytes, at).ok_or_else(truncated)?;
-            // next_marker gives the index of the marker's code, one past its last 0xFF.
+            // `marker` is the index of the marker's code. One or more 0xFF are before the code; `first_ff` is the index
+            // of the first of them.
             let first_ff = bytes[at..marker].iter().rposition(|&b| b != 0xFF).map_or(at, |i| at + i + 1);
             if first_ff > at {
                 layout.junk.push(at..first_ff);
@@ -118,7 +119,7 @@ impl Layout {
         Ok(())
     }
 
-    /// Returns the largest sampling factor of any component, along the `axis` across (0) or down (1).
+    /// Returns the largest sampling factor of any component along `axis`: 0 is across, 1 is down.
     fn finest(&self, axis: usize) -> u8 {
         self.sampling.iter().map(|own| own[axis]).max().unwrap_or(1)
     }
@@ -141,9 +142,9 @@ impl Layout {
     pub fn is_beyond_zune(&self) -> bool {
         let size = [self.size.0, self.size.1];
         let is_finer_than_first = |own: &[u8; 2]| (0..2).any(|axis| own[axis] > self.sampling[0][axis]);
-        // A sample at half the resolution covers two pixels, of which only the second is interpolated with the next
-        // sample. The last sample of a row or column covers two pixels if the number of pixels is even; its next sample
-        // is padding if the picture does not fill the last MCU.
+        // A sample at half the resolution covers two pixels. The second of them is interpolated between this sample and
+        // the next one. The last sample of a row or column covers two pixels if the number of pixels is even; the
+        // sample after it is padding if the picture does not fill the last MCU.
         let is_mixed_with_padding = |axis: usize| {
             let finest = self.finest(axis);
             let is_padded = size[axis].is_multiple_of(2) && !size[axis].is_multiple_of(8 * usize::from(finest));

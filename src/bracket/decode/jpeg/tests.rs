@@ -28,8 +28,8 @@ fn frame_header(bytes: &[u8]) -> usize {
 fn jpeg_with_coarse_chroma_is_not_mixed_with_the_padding_behind_it() {
     let (inside, behind) = ([200, 60, 40], [20, 90, 250]);
     for (factors, progressive) in [((2, 2), false), ((2, 1), false), ((1, 2), false), ((2, 2), true)] {
-        // The header is changed below from the padded size to a smaller one. Scans of a single component contain only
-        // ceil(size / 8) blocks per axis, so this number must be equal for both sizes.
+        // The header is changed below from the padded size to a smaller size. A scan of a single component contains
+        // only ceil(size / 8) blocks per axis, so the sizes are chosen such that this number stays the same.
         for (width, height) in [(26_usize, 26_usize), (154, 42), (42, 154)] {
             let stored = |size: usize, factor: u8| size.next_multiple_of(8 * usize::from(factor));
             let (across, down) = (stored(width, factors.0), stored(height, factors.1));
@@ -62,7 +62,7 @@ fn jpeg_with_coarse_chroma_that_was_cut_is_an_error() {
     }
 }
 
-/// Decoding runs in the current pool, and more memory than allowed is reported.
+/// Decoding must use the current thread pool, and must fail if it needs more memory than is allowed.
 #[test]
 fn jpeg_with_coarse_chroma_and_padding_is_counted_and_the_same_on_any_number_of_threads() {
     let bytes = subsampled(&scene(168, 120), (168, 120), (2, 2), false);
@@ -177,7 +177,7 @@ fn jpeg_of_several_sequential_scans_that_was_cut_is_an_error() {
         let mut end = 0;
         while let Some(scan) = at(end, |code| code == 0xDA) {
             end = at(scan + 2, |code| code != 0).expect("a marker behind the scan");
-            // Cuts off the last bytes of this scan, and keeps all that follows.
+            // Cuts off the last bytes of this scan, and keeps everything after the scan.
             let mut cut = end - 5;
             cut -= usize::from(whole[cut - 1] == 0xFF);
             assert!(is_damage(read(&[&whole[..cut], &whole[end..]].concat())), "before {end} of {}", whole.len());
@@ -227,7 +227,7 @@ fn data_after_a_jpeg_and_padding_are_ignored() {
     assert!(is_damage(read(&thumbnail[..second.len() + 20])));
 }
 
-/// `tests/cli/limits.rs` checks that this takes little time.
+/// This checks only the result; `tests/cli/limits.rs` checks that such files take little time.
 #[test]
 fn many_pieces_between_segments_do_no_harm() {
     let whole = jpeg(&scene(64, 48), 64);

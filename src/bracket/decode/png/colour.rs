@@ -7,7 +7,8 @@
 use crate::bracket::colour::{Curve, Primaries, Profile};
 use png::{CodingIndependentCodePoints, Info};
 
-/// The gAMA value 1/2.2 that stands for the sRGB curve, and its tolerance: writers use 0.45455, 0.4545 and 0.45.
+/// The gAMA value 1/2.2 stands for the sRGB curve. The tolerance includes 0.45455, 0.4545 and 0.45, which writers use
+/// for it.
 const SRGB_GAMMA: (f64, f64) = (1.0 / 2.2, 0.005);
 
 /// Returns the ICC profile, or `None` where the chunks mean sRGB; `embedded` is the profile of iCCP. Unsupported values
@@ -29,15 +30,15 @@ pub(super) fn profile(info: &Info, embedded: Option<Vec<u8>>, notes: &mut Vec<St
         let xy = |(x, y): (png::ScaledFloat, png::ScaledFloat)| [x, y].map(|v| f64::from(v.into_scaled()) / 1e5);
         Primaries { red: xy(c.red), green: xy(c.green), blue: xy(c.blue), white: xy(c.white) }
     });
-    // An exponent of 0 is invalid.
+    // An exponent of 0 is invalid and is ignored.
     let gamma = info.gama_chunk.map(|v| f64::from(v.into_scaled()) / 1e5).filter(|gamma| *gamma > 0.0);
     let is_of_srgb = |gamma: f64| is_srgb(&primaries) && (gamma - SRGB_GAMMA.0).abs() <= SRGB_GAMMA.1;
     let curve = gamma.filter(|gamma| !is_of_srgb(*gamma)).map_or(Curve::Srgb, |gamma| Curve::Power(1.0 / gamma));
     made(primaries, curve, notes)
 }
 
-/// Returns the primaries and curve for the H.273 code points used by photographs; `None` for others and for limited
-/// range.
+/// Returns the primaries and curve for the H.273 code points used by photographs; `None` for other code points, for
+/// limited range, and for pixel values that are not RGB.
 fn of_code_points(points: &CodingIndependentCodePoints) -> Option<(Primaries, Curve)> {
     let primaries = match points.color_primaries {
         1 => Primaries::SRGB,

@@ -30,8 +30,8 @@ fn differences(samples: &[u16], width: usize, per_pixel: usize) -> Vec<u16> {
 #[test]
 fn tiff_with_alpha_or_extra_samples_has_its_colours_with_a_predictor_or_without() {
     let size = (5, 3);
-    // Grey whose 0 is black, grey whose 0 is white, and RGB; each with alpha, with one or two extra samples of
-    // unspecified meaning, or with one that ExtraSamples does not describe.
+    // Grey with 0 as black, grey with 0 as white, and RGB. Each is tested with alpha, with one or two extra samples of
+    // unspecified meaning, and with an extra sample that ExtraSamples does not describe.
     for (photometric, colours) in [(1, 1), (0, 1), (2, 3)] {
         for (extra, has_alpha) in
             [(vec![1], true), (vec![2], true), (vec![0], false), (vec![0, 0], false), (vec![], true)]
@@ -93,8 +93,8 @@ fn tiff_of_unsupported_kinds_is_named_and_not_called_damaged() {
         assert!(!reason.contains("again"), "{reason}");
         reason
     };
-    // Chroma of half the resolution in both directions: the data has 54 bytes, and not the 108 of 6 x 6 pixels of 3
-    // samples.
+    // With chroma at half the resolution in both directions, 6 x 6 pixels have 54 bytes of data instead of 108 (3 per
+    // pixel).
     let coarse = with(of_kind((6, 6), 3, 8, 6), (530, 3, vec![2, 2]));
     assert!(refused(with(coarse, (279, 4, vec![54]))).contains("YCbCr"));
     assert!(refused(of_kind((4, 4), 3, 8, 8)).contains("L*a*b*"));

@@ -1,7 +1,7 @@
 //! Compares exposures from EXIF or the user with the pixels.
 //!
-//! In: exposures in EV, and the brightness of their frames. Out: why they are impossible, and for which frames. Cost:
-//! one estimate of a step for each pair of neighbours in any set of frames that is tried.
+//! In: exposures in EV, and the brightness of their frames. Out: why the exposures are impossible, and for which
+//! frames. Cost: one estimate of a step for each pair of frames that are neighbours in one of the sets of frames tried.
 
 use super::{Brightness, CAMERAS, STEP, by_brightness, spread, step};
 use std::cell::RefCell;
@@ -9,23 +9,26 @@ use std::collections::BTreeMap;
 
 /// Written exposures that differ by no more than this, in EV, count as equal.
 const ALIKE: f64 = 0.05;
-/// An error of a step, in EV, too large to be caused by changing light: a typing error, or a tag with another unit.
+/// An error of a step of this size or more, in EV, is not caused by changing light, but by a typing error, or by a tag
+/// with another unit.
 const FAR_OFF: f64 = 3.0;
-/// Above this number of frames, only single contradicting frames are searched for.
+/// For more frames than this, only a single contradicting frame is searched for.
 const MANY: usize = 12;
 
 /// Returns why `written`, exposures in EV, cannot be those of `frames`; `None` where they are possible.
 ///
 /// Reports only clear contradictions, since the estimate is rough and light may change between frames:
-/// - all written exposures are equal, although the frames differ by more than 0.6 EV;
-/// - a frame is written as brighter than its neighbour by 0.3 EV or more, but is darker by 0.5 EV or more;
-/// - of a written step and the measured one, the larger is at least twice the smaller, and at least 3 EV more.
+/// - all written exposures are equal, although the brightness of the frames differs by more than 0.6 EV;
+/// - of two frames with neighbouring written exposures, one should be brighter by 0.3 EV or more, but is darker by 0.5
+///   EV or more;
+/// - a written step and the measured step differ by at least 3 EV, and the larger of them is at least twice the
+///   smaller.
 pub fn contradiction(written: &[f64], frames: &[&Brightness]) -> Option<String> {
     let all: Vec<usize> = (0..frames.len()).collect();
     among(&all, written, &Pairs::of(frames))
 }
 
-/// The steps between pairs of frames, each computed once.
+/// The steps between pairs of frames; each step is computed only once.
 struct Pairs<'a> {
     frames: &'a [&'a Brightness],
     steps: RefCell<BTreeMap<(usize, usize), Option<f64>>>,
@@ -80,9 +83,9 @@ fn by_written(which: &[usize], written: &[f64]) -> Vec<usize> {
     order
 }
 
-/// Returns the indices of the smallest set of `frames`, fewer than half, without which there is no [`contradiction`]
-/// and all steps can be measured. Of sets of equal size, returns the one without which the written steps agree best
-/// with the measured ones. `None` where there is no such set.
+/// Finds the smallest set of frames, fewer than half of `frames`, without which there is no [`contradiction`] and all
+/// steps can be measured. Returns the indices of this set. Of several sets of equal size, returns the one without which
+/// the written steps agree best with the measured steps. `None` where there is no such set.
 pub fn at_odds(written: &[f64], frames: &[&Brightness]) -> Option<Vec<usize>> {
     let (count, pairs) = (frames.len(), Pairs::of(frames));
     let most = if count <= MANY { (count.max(1) - 1) / 2 } else { 1 };
@@ -105,8 +108,9 @@ pub fn at_odds(written: &[f64], frames: &[&Brightness]) -> Option<Vec<usize>> {
     })
 }
 
-/// Returns the largest difference between measured and written exposure steps without the frames `odd`, relative to the
-/// difference that is tolerated. `None` if the remaining frames contradict each other, or a step cannot be measured.
+/// Leaves out the frames `odd`. Returns the largest ratio of the difference between a written and a measured step to
+/// the difference that is tolerated for this step. `None` if the remaining frames contradict each other, or a step
+/// cannot be measured.
 fn without(written: &[f64], pairs: &Pairs, odd: &[usize]) -> Option<f64> {
     let rest: Vec<usize> = (0..written.len()).filter(|i| !odd.contains(i)).collect();
     let order = by_written(&rest, written);
@@ -117,7 +121,7 @@ fn without(written: &[f64], pairs: &Pairs, odd: &[usize]) -> Option<f64> {
         misfit = misfit.max((said - seen).abs() / (STEP + 2.0 * CAMERAS * said));
     }
     let all: Vec<f64> = order.iter().map(|&i| written[i]).collect();
-    // Equal written exposures contradict frames of different brightness.
+    // If all written exposures are equal, frames of different brightness are a contradiction as well.
     let is_open = among(&rest, written, pairs).is_some() || (spread(&all) <= ALIKE && misfit > 1.0);
     (!is_open).then_some(misfit)
 }

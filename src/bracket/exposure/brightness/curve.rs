@@ -8,8 +8,8 @@
 //! constant term of p, because it multiplies all steps by the same factor (Grossberg and Nayar, "Determining the camera
 //! response from images: what is knowable?", PAMI 2003). So the constant term is inferred from the other terms by
 //! priors: normal distributions of the four terms, one for each [`Kind`]. The best terms are found by iteratively
-//! reweighted Gauss-Newton steps; the likelihood of a kind is that of its best terms, times the volume that the matches
-//! leave around them (Laplace's approximation).
+//! reweighted Gauss-Newton steps. The likelihood of a kind is the likelihood of its best terms, multiplied by the
+//! volume of the terms around them that are also likely (Laplace's approximation).
 
 use crate::bracket::colour::srgb_to_linear;
 use nalgebra::{Matrix4, Vector4};
@@ -30,8 +30,8 @@ pub(super) struct Pair {
     pub(super) share: f64,
 }
 
-/// A class of curves: its share of photographs, and the prior of the four terms of its curves: the mean, and the lower
-/// triangle of the covariance.
+/// A class of curves: the share of photographs that have such a curve, and the prior distribution of the four terms of
+/// the curve: its mean, and the lower triangle of its covariance.
 struct Kind {
     share: f64,
     mean: [f64; 4],
@@ -39,13 +39,13 @@ struct Kind {
 }
 
 /// The kinds of curves. Their distributions were fitted to curves that were measured or computed, at pixel values 16 to
-/// 248; 0.04 to 0.08 was added to the standard deviation of each term because there are few curves. The shares are
-/// estimates: doubling the share of renderings or of films changes the mean error of rendered and of photographed
-/// brackets by less than 1 %.
+/// 248. 0.04 to 0.08 was added to the standard deviation of each term because there are few curves. The shares are
+/// estimates and matter little: doubling the share of renderings or of films changes the mean error of rendered and of
+/// photographed brackets by less than 1 %.
 const KINDS: [Kind; 5] = [
-    // The sRGB curve itself: renderings.
+    // Renderings, which have the sRGB curve itself.
     Kind { share: 0.35, mean: [0.0; 4], covariance: [0.0004, 0.0, 0.0004, 0.0, 0.0, 0.0004, 0.0, 0.0, 0.0, 0.0004] },
-    // The sRGB curve y, followed by (1 - s) y + s (3 y^2 - 2 y^3) with s from 0.05 to 1: renderings with more contrast.
+    // Renderings with more contrast: an sRGB value y becomes (1 - s) y + s (3 y^2 - 2 y^3), with s from 0.05 to 1.
     Kind {
         share: 0.1,
         mean: [-0.113, 0.204, 0.245, 0.039],
@@ -57,35 +57,36 @@ const KINDS: [Kind; 5] = [
         mean: [-0.077, 0.698, 0.401, 0.026],
         covariance: [0.0032, -0.0004, 0.0112, 0.0011, 0.0039, 0.0209, 0.0012, 0.0020, 0.0044, 0.0194],
     },
-    // Negative film, and the curves of video and of scanners, of the Database of Response Functions.
+    // Negative film, video and scanners: curves of the Database of Response Functions.
     Kind {
         share: 0.13,
         mean: [-0.058, 0.166, 0.171, -0.084],
         covariance: [0.0241, 0.0230, 0.0339, 0.0004, 0.0036, 0.0065, -0.0005, -0.0007, 0.0017, 0.0059],
     },
-    // Slides and papers of high contrast, of the same database.
+    // Slides and papers of high contrast: curves of the same database.
     Kind {
         share: 0.02,
         mean: [-0.576, 0.705, 0.508, 0.020],
         covariance: [0.0416, 0.0145, 0.0486, -0.0044, 0.0254, 0.0353, 0.0065, 0.0153, 0.0093, 0.0212],
     },
 ];
-/// A broad distribution, used to estimate how well pixel values match.
+/// A broad distribution, with which the standard deviation of a match is estimated before the kinds are fitted.
 const ANY: Kind = Kind {
     share: 1.0,
     mean: [-0.1, 0.3, 0.25, 0.0],
     covariance: [0.09, 0.0, 0.16, 0.0, 0.0, 0.09, 0.0, 0.0, 0.0, 0.04],
 };
-/// Standard deviation of a match in pixel values: the initial estimate, and the minimum due to rounding.
+/// Standard deviation of a match, in pixel values: `USUAL` is the initial estimate, `ROUNDING` is the minimum, due to
+/// rounding.
 const USUAL: f64 = 1.5;
 const ROUNDING: f64 = 0.6;
-/// Matches that are off by this many standard deviations have a quarter of their weight (Geman and McClure's function).
+/// A match whose error is this many standard deviations has a quarter of its weight (Geman and McClure's function).
 const OFF: f64 = 3.0;
 /// Number of neighbouring pixel values whose matches have correlated errors, so that together they count as one match.
-/// An estimate: with 8 and with 14, the mean error of rendered brackets changes by less than 1 %.
+/// This is an estimate: with 8 or 14, the mean error of rendered brackets changes by less than 1 %.
 const ALIKE: f64 = 12.0;
-/// Number of Gauss-Newton steps, and the largest change of a term in one step, which at most doubles a slope (exp(0.7)
-/// = 2).
+/// `ROUNDS` is the number of Gauss-Newton steps. `STRIDE` is the largest change of a term in one step; a change of one
+/// term by 0.7 at most doubles a slope (exp(0.7) = 2).
 const ROUNDS: usize = 8;
 const STRIDE: f64 = 0.7;
 
@@ -94,7 +95,7 @@ const STRIDE: f64 = 0.7;
 static SRGB: LazyLock<Vec<(f64, Vector4<f64>)>> = LazyLock::new(|| {
     let stops = |code: usize| libm::log2(srgb_to_linear(code as f64 / 255.0));
     let rise = |k: usize| {
-        // The rise from black is infinite; any value will do.
+        // The sRGB exposure of pixel value 0 is minus infinity in stops, so the rise from 1 to 2 is used for 0 as well.
         let k = k.max(1);
         let t = 2.0 * (k as f64 + 0.5) / 255.0 - 1.0;
         let polynomials = [1.0, t, (3.0 * t * t - 1.0) / 2.0, (5.0 * t * t - 3.0) * t / 2.0];
@@ -103,20 +104,21 @@ static SRGB: LazyLock<Vec<(f64, Vector4<f64>)>> = LazyLock::new(|| {
     (0..255).map(rise).collect()
 });
 
-/// A curve. For each pixel value: the exposure in stops, the derivative of the exposure by each term, and the rise of
-/// the exposure to the next pixel value.
+/// A curve. For each pixel value: the exposure in stops, its derivative with respect to each term, and its rise to the
+/// next pixel value.
 struct Curve {
     stops: Vec<f64>,
     change: Vec<Vector4<f64>>,
     rise: Vec<f64>,
 }
 
-/// The exposure ratio of a match under a curve, in stops, and its derivative by each term.
+/// The exposure ratio of the two pixel values of a match under a curve, `to` over `from`, in stops, and its derivative
+/// with respect to each term.
 struct Ratio {
     stops: f64,
     change: Vector4<f64>,
-    /// Error of `stops` if both pixel values have independent errors of one unit, and the relative derivative of this
-    /// error by each term.
+    /// Error of `stops` if both pixel values have independent errors of one unit, and the derivative of the logarithm
+    /// of this error with respect to each term.
     code: f64,
     code_change: Vector4<f64>,
 }
@@ -155,19 +157,19 @@ impl Curve {
 /// Steps under the best curve of a kind.
 #[derive(Debug, Clone)]
 pub(super) struct Fit {
-    /// Log likelihood, up to a term common to all kinds.
+    /// Log likelihood of the kind, up to a term that is common to all kinds.
     pub(super) likelihood: f64,
     /// Step of each pair, in EV.
     pub(super) steps: Vec<f64>,
-    /// Variance of each step, if this curve is true.
+    /// Variance of each step under the assumption that this curve is true.
     pub(super) variances: Vec<f64>,
-    /// Standard deviation of the log of the common factor of the steps.
+    /// Standard deviation of the logarithm of the common factor of all steps, which the matches do not determine.
     pub(super) scale: f64,
-    /// For each pair, the standard deviation of a match, in pixel values.
+    /// For each pair of frames, the standard deviation of a match, in pixel values.
     codes: Vec<f64>,
 }
 
-/// Fits the curves of each kind to `pairs`; kinds without a finite result are left out.
+/// Fits a curve of each kind to `pairs`. Kinds without a finite result are left out.
 pub(super) fn fits(pairs: &[Pair]) -> Vec<Fit> {
     let Some(any) = fit(pairs, &ANY, &vec![USUAL; pairs.len()]) else { return Vec::new() };
     let codes: Vec<f64> = any.codes.iter().map(|code| code.max(ROUNDING)).collect();

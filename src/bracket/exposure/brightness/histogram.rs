@@ -1,18 +1,18 @@
 //! Histograms of frames, and matches between the pixel values of two frames.
 //!
 //! In: pixel values. Out: pairs of pixel values of equal radiance. Cost: one pass over a quarter of the pixels, then
-//! 256-entry tables.
+//! operations on 256-entry tables.
 
 use super::curve::{Match, Pair};
 use crate::bracket::Samples;
 
-/// Range of pixel values that are neither clipped nor lost in the noise and flare of shadows. In scans, lower pixel
-/// values do not depend on the exposure.
+/// Range of pixel values that are neither clipped nor lost in the noise and flare of shadows. In scans, pixel values
+/// below this range do not depend on the exposure.
 const EXPOSED: (usize, usize) = (24, 250);
-/// Fallback range where [`EXPOSED`] leaves too few matches.
+/// Range that is used where [`EXPOSED`] leaves too few matches.
 const BARELY_EXPOSED: (usize, usize) = (2, 252);
-/// A pixel value is matched only if at least this number of pixels is not above it, and at least this number is above
-/// it.
+/// A pixel value is matched only if at least this many pixels have this value or a lower one, and at least this many
+/// have a higher one.
 const TAIL: u64 = 32;
 
 /// Histogram of the green channel, at 8 bits.
@@ -45,8 +45,8 @@ impl Histogram {
         self.below[256]
     }
 
-    /// Returns the pixel value below which `rank` values lie, if the values of each bin are spread evenly over one
-    /// unit.
+    /// Returns the pixel value below which `rank` of the counted values lie, if the values of each bin are spread
+    /// evenly over one unit.
     fn code_at(&self, rank: f64) -> f64 {
         let k = self.below[1..].partition_point(|&n| (n as f64) < rank).min(255);
         let within = (rank - self.below[k] as f64) / self.counts[k].max(1) as f64;
@@ -70,7 +70,8 @@ impl From<[u64; 256]> for Histogram {
 }
 
 fn count<T>(v: &[T], width: usize, stride: usize, code: impl Fn(&T) -> usize, counts: &mut [u64; 256]) {
-    // Two tables are used alternately, because consecutive increments of the same bin depend on each other.
+    // Two tables are used alternately, because two consecutive increments of the same bin would have to wait for each
+    // other.
     let mut others = [0u64; 256];
     for row in v.chunks_exact(3 * width).step_by(stride) {
         if stride == 2 {
@@ -92,8 +93,8 @@ fn count<T>(v: &[T], width: usize, stride: usize, code: impl Fn(&T) -> usize, co
     counts.iter_mut().zip(others).for_each(|(count, other)| *count += other);
 }
 
-/// Matches the pixel values that are well exposed in both frames, or else those that are barely exposed; `None` where
-/// there are too few matches.
+/// Matches the pixel values that are well exposed in both frames. If these are too few, matches those that are at least
+/// barely exposed; `None` where these are too few as well.
 pub(super) fn matches(dark: &Histogram, bright: &Histogram) -> Option<Pair> {
     matches_within(dark, bright, EXPOSED).or_else(|| matches_within(dark, bright, BARELY_EXPOSED))
 }
@@ -113,7 +114,7 @@ fn matches_within(dark: &Histogram, bright: &Histogram, (low, high): (usize, usi
             tones += usize::from(dark.counts[k] > 0);
         }
     }
-    // Fewer matches may be due to chance. An image of two tones has no ranks between these tones.
+    // Fewer than 8 matches may be due to chance. In an image of few tones, no ranks lie between the tones.
     if matches.len() < 8 || tones < 4 {
         return None;
     }

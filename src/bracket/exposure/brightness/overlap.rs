@@ -3,18 +3,19 @@
 //! In: a coarse image of each frame. Out: the histograms of the overlapping parts under the best shift. Cost: sums of
 //! absolute differences of ranks over coarse images, as in a pyramid search.
 //!
-//! The parts outside the overlap may be a tenth of an image, and where they are bright they change the ranks of all
-//! other points. Ranks of pixel values do not depend on the exposure, so the shift is where the ranks of both frames
-//! differ least (the bitmaps of Ward 2003 are ranks compared with one half). The clipped points of a frame have no
-//! order among themselves, nor have its black points, so the points at the same ranks in the other frame get equal
-//! ranks as well. Points are sampled and not averaged, because the mean of pixel values does not match a radiance.
+//! The parts outside the overlap may be a tenth of an image. Where they are bright, they change the ranks of all other
+//! points. Ranks of pixel values do not depend on the exposure, so the best shift is the one for which the ranks of
+//! both frames differ least. (The bitmaps of Ward 2003 are ranks compared with one half.) The clipped points of a frame
+//! have no order among themselves, nor have its black points, so the points at the same ranks in the other frame get
+//! equal ranks as well. Points are sampled and not averaged, because the mean of several pixel values is not the pixel
+//! value of their mean radiance.
 
 /// Maximum number of points along the longer side of a [`View`].
 const LENGTH: usize = 384;
-/// Maximum number of points along the longer side of the coarsest image of the search; the largest shift in that image
-/// is a sixth of its longer side.
+/// Maximum number of points along the longer side of the coarsest image of the search. In this image, shifts of up to a
+/// sixth of the longer side are tried.
 const COARSEST: usize = 24;
-/// Lowest and highest pixel value that is neither black nor clipped.
+/// Lowest pixel value that is not black, and highest pixel value that is not clipped.
 const SHOWN: (u8, u8) = (2, 250);
 
 /// A subsampled green channel, at 8 bits.
@@ -25,10 +26,10 @@ pub(super) struct View {
 }
 
 impl View {
-    /// Samples an image of this size; `code` returns the pixel value at a row and a column.
+    /// Samples an image of `width` x `height` pixels; `code` returns the pixel value at a row and a column.
     pub(super) fn of(width: usize, height: usize, code: impl Fn(usize, usize) -> u8) -> Self {
         let stride = width.max(height).div_ceil(LENGTH).max(1);
-        // At least one row or column where the image is narrower than the stride.
+        // At least one row or column is sampled, even where the image is narrower than the stride.
         let middles = |length: usize| ((stride / 2).min(length / 2)..length).step_by(stride);
         let codes =
             middles(height).flat_map(|y| middles(width).map(move |x| (y, x))).map(|(y, x)| code(y, x)).collect();
@@ -56,8 +57,8 @@ impl View {
         (share(&|code| code <= SHOWN.1), share(&|code| code < SHOWN.0))
     }
 
-    /// Returns the rank of each point: the share of darker points plus half the share of equal points. Ranks below
-    /// `black` become equal, as do those above `white`.
+    /// Returns the rank of each point: the share of darker points plus half the share of equal points. All ranks below
+    /// `black` become equal, and so do all ranks above `white`.
     fn ranks(&self, (white, black): (f32, f32)) -> Ranks {
         let counts = self.counts(0..self.height(), 0..self.width);
         let mut below = 0;
@@ -76,8 +77,8 @@ impl View {
     }
 }
 
-/// Returns the histograms of the parts of `a` and `b` that overlap; `None` where there is no shift between them, or
-/// their sizes differ.
+/// Returns the histograms of the parts of `a` and `b` that overlap; `None` where the shift between them is 0, or their
+/// sizes differ.
 pub(super) fn overlap(a: &View, b: &View) -> Option<[[u64; 256]; 2]> {
     if (a.width, a.codes.len()) != (b.width, b.codes.len()) {
         return None;
@@ -87,8 +88,8 @@ pub(super) fn overlap(a: &View, b: &View) -> Option<[[u64; 256]; 2]> {
     ((right, down) != (0, 0)).then(|| [a.counts(ys.0, xs.0), b.counts(ys.1, xs.1)])
 }
 
-/// Returns the range of the points of one row, and that of a second row, in which the two rows overlap. Both have
-/// `length` points, and point `i` of the second row is at point `i + by` of the first.
+/// Returns the ranges of the points of a first and of a second row in which the two rows overlap. Both rows have
+/// `length` points, and point `i` of the second row is at point `i + by` of the first row.
 fn both(length: usize, by: isize) -> (std::ops::Range<usize>, std::ops::Range<usize>) {
     let (more, less) = (by.max(0) as usize, (-by).max(0) as usize);
     (more.min(length)..length - less.min(length), less.min(length)..length - more.min(length))
@@ -114,8 +115,9 @@ fn shift(a: &View, b: &View) -> (isize, isize) {
     (2 * found.0, 2 * found.1)
 }
 
-/// Finds the shift within `farthest` of `start` with the smallest mean rank difference; of shifts with equal
-/// differences, the shortest.
+/// Finds the shift with the smallest mean rank difference, among those that differ from `start` by at most `farthest`
+/// along each axis and leave an overlap of at least half of the points. Of shifts with equal differences, returns the
+/// shortest.
 fn nearest(a: &Ranks, b: &Ranks, start: (isize, isize), farthest: isize) -> (isize, isize) {
     let mut best = (f64::INFINITY, 0, start);
     for down in start.1 - farthest..=start.1 + farthest {
@@ -154,7 +156,8 @@ impl Ranks {
         self.width.max(self.height())
     }
 
-    /// Halves the size by averaging 2 x 2 ranks. An odd row or column is dropped unless it is the only one.
+    /// Halves the size by averaging 2 x 2 ranks. The last row or column is dropped if their number is odd, unless it is
+    /// the only one.
     fn halved(&self) -> Ranks {
         let (width, height) = ((self.width / 2).max(1), (self.height() / 2).max(1));
         let at = |y: usize, x: usize| self.values[y.min(self.height() - 1) * self.width + x.min(self.width - 1)];
@@ -172,8 +175,8 @@ impl Ranks {
 mod tests {
     use super::*;
 
-    /// Returns the part of a large scene without repetitions that begins at `column` and `row`, `brighter` times as
-    /// bright.
+    /// Returns a view of a scene that does not repeat itself. The view begins at `column` and `row` of the scene, and
+    /// its brightness is multiplied by `brighter`.
     fn view(column: usize, row: usize, brighter: f64) -> View {
         View::of(300, 200, |y, x| {
             let (x, y) = ((x + column) as f64, (y + row) as f64);
@@ -212,7 +215,7 @@ mod tests {
         assert_eq!(overlap(&view(40, 40, 1.0), &view(40, 40, 2.5)), None);
         assert_eq!(overlap(&view(40, 40, 1.0), &View::of(200, 300, |_, _| 0)), None);
         assert_eq!(overlap(&View::of(1, 1, |_, _| 7), &View::of(1, 1, |_, _| 9)), None);
-        // A strip of the largest width that a picture can have.
+        // A strip of nearly the largest width that a JPEG can have (65,535 pixels).
         let strip = || View::of(65_500, 4, |_, x| (x / 300) as u8);
         assert_eq!((strip().height(), overlap(&strip(), &strip())), (1, None));
     }

@@ -1,12 +1,13 @@
 //! Combines the exposure steps estimated under each kind of curve with a prior of the steps that cameras are set to.
 //!
 //! In: for each kind of curve, the steps between neighbouring frames, with uncertainties. Out: the mean of each step,
-//! and the covariances of the steps. Cost: a table of some hundred factors and twenty steps, for each pair and kind.
+//! and the covariances of the steps. Cost: a table of some hundred factors and twenty steps, for each pair of frames
+//! and each kind.
 //!
 //! The common factor of all steps is uncertain by several percent, but photographers set steps of thirds of an EV,
-//! mostly of whole EVs, and mostly the same step between all frames. So each factor is weighted by how close it brings
-//! the steps to such values. Probability densities are those of the logarithm of a step, so that they do not depend on
-//! the kind of curve.
+//! mostly of whole EVs, and mostly the same step between all frames. So each possible factor is weighted by how close
+//! the multiplied steps are to such values. Probability densities are those of the logarithm of a step, so that they do
+//! not depend on the kind of curve.
 
 use super::curve::{self, Fit, Pair};
 use std::f64::consts::PI;
@@ -15,7 +16,7 @@ use std::f64::consts::PI;
 #[derive(Debug, Clone, Default)]
 pub(super) struct Steps {
     pub(super) means: Vec<f64>,
-    /// Row by row.
+    /// Covariance matrix of the steps, row by row.
     covariances: Vec<f64>,
 }
 
@@ -29,30 +30,32 @@ impl Steps {
 
 /// Number of different steps that can be set on a camera: multiples of a third of an EV, up to 6 EV.
 const THIRDS: usize = 18;
-/// Prior probability of a step being a whole number of EV, another multiple of a third, or any other value. Estimated:
-/// the mean error of fourteen camera brackets is 3 % with 0.45, 0.15, 0.4, and it is 4 % with 0.2, 0.4, 0.4 and 3 %
-/// with 0.6, 0.1, 0.3.
+/// Prior probability that a step is a whole number of EV, another multiple of a third, or has any other value. These
+/// are estimates and matter little: the mean error of fourteen camera brackets is 3 % with these values, 4 % with 0.2,
+/// 0.4 and 0.4, and 3 % with 0.6, 0.1 and 0.3.
 const WHOLE: f64 = 0.45;
 const THIRD: f64 = 0.15;
 const OTHER: f64 = 0.4;
-/// Probability density of other steps, over the logarithm of the step: uniform from 0.2 to 6 EV.
+/// Probability density of other steps, with respect to the logarithm of the step: uniform from 0.2 to 6 EV, which
+/// is 1 / ln(30).
 const ANY: f64 = 0.3;
-/// Prior probability of a bracket of three or more frames having equal steps, and of a single step of such a bracket
-/// differing from the others. Estimated: 0.3 or 0.8 for `EVEN`, and 0.1 for `ODD`, give results that are as good.
+/// `EVEN` is the prior probability that a bracket of three or more frames has equal steps, and `ODD` is that of a
+/// single step of such a bracket differing from the others. These are estimates: 0.3 or 0.8 for `EVEN`, and 0.1 for
+/// `ODD`, give results that are as good.
 const EVEN: f64 = 0.6;
 const ODD: f64 = 0.2;
-/// Standard deviation of a step under the true curve: a relative part for the shutter, and a part in EV for flicker and
-/// motion. The latter is divided by the square root of the share of matched pixels, and is at most `MOST_OFF`. Measured
-/// on camera brackets with known exposures.
+/// Standard deviation of a step under the true curve: `SHARE_OFF` is that due to the shutter, relative to the step;
+/// `EV_OFF` is that due to flicker and motion, in EV. `EV_OFF` is divided by the square root of the share of matched
+/// pixels, and the result is at most `MOST_OFF`. Measured on camera brackets with known exposures.
 const SHARE_OFF: f64 = 0.02;
 const EV_OFF: f64 = 0.04;
 const MOST_OFF: f64 = 0.2;
-/// Steps below this, in EV, are not used to determine the common factor.
+/// Steps below this, in EV, are not used to determine the common factor of the steps.
 const NO_STEP: f64 = 0.15;
-/// Number of factors that are tried on either side of 1, and the spacing of their natural logarithms.
+/// Number of common factors that are tried on either side of 1, and the spacing of their natural logarithms.
 const FACTORS: i32 = 100;
 const FACTOR: f64 = 0.005;
-/// A hypothesis is dropped if its log likelihood is below the best by this or more.
+/// A hypothesis is dropped if its log likelihood is smaller than the best by this or more.
 const NEVER: f64 = 14.0;
 
 /// A hypothesis for the steps: its log likelihood, and the mean and the variance of each step.
@@ -101,14 +104,14 @@ pub(super) fn of(pairs: &[Pair]) -> Option<Steps> {
     Some(Steps { means, covariances })
 }
 
-/// Adds the hypotheses for the steps of `fit` multiplied by `factor`: one in which the steps are independent; and, for
-/// each step size that can be set on a camera, one in which each step has this size, or with the probability [`ODD`]
-/// any other. `off` is the standard deviation of each step due to flicker and motion ([`EV_OFF`]).
+/// Adds the hypotheses for the steps of `fit` multiplied by `factor`. In one hypothesis, the steps are independent. For
+/// each step size that can be set on a camera, there is another: each step has this size, or, with the probability
+/// [`ODD`], any other size. `off` is the standard deviation of each step due to flicker and motion ([`EV_OFF`]).
 fn add_ways(log: f64, fit: &Fit, off: &[f64], factor: f64, ways: &mut Vec<Way>) {
     let nominal = |third: usize| third as f64 / 3.0;
     let chance = |third: usize| if third.is_multiple_of(3) { WHOLE / 6.0 } else { THIRD / 12.0 };
-    // Value and variance of each step, and its probability densities at the steps that can be set; no densities for a
-    // step below NO_STEP.
+    // For each step, its value, its variance, and its probability densities at the steps that can be set on a camera. A
+    // step below `NO_STEP` has no densities.
     let seen: Vec<(f64, f64, Vec<f64>)> = fit
         .steps
         .iter()

@@ -16,13 +16,13 @@ fn at_odds(written: &[f64], frames: &[Brightness]) -> Option<Vec<usize>> {
     super::at_odds(written, &frames.iter().collect::<Vec<_>>())
 }
 
-/// Returns the brightness of the scene [`five_decades`], exposed by `ev` stops and moved by `shift` pixels to the side,
-/// under a curve with the shoulder q and the exponent n.
+/// Returns the brightness of the scene [`five_decades`], exposed by `ev` stops and moved by `shift` pixels to the side.
+/// `curve` contains the strength q of the shoulder of the camera curve, and its exponent n.
 fn seen(ev: f64, curve: (f64, f64), shift: usize) -> Brightness {
     seen_above(0, ev, curve, shift)
 }
 
-/// As [`seen`], but no pixel value is below `floor`, because a scanner or flare hides darker ones.
+/// As [`seen`], but no pixel value is below `floor`, because a scanner or flare hides darker values.
 fn seen_above(floor: u8, ev: f64, (q, n): (f64, f64), shift: usize) -> Brightness {
     let shoulder = |light: f64| linear_to_srgb((1.0 + q) * light.powf(n) / (1.0 + q * light.powf(n)));
     taken(|x, y| five_decades(x + shift, y), ev, floor, shoulder)
@@ -32,7 +32,8 @@ fn five_decades(x: usize, y: usize) -> f64 {
     2.2 * ((x as f64 / 23.0).sin() + (y as f64 / 17.0).cos() + 0.3 * ((x * y) as f64 / 90.0).sin())
 }
 
-/// Returns the brightness of `scene` (in EV), exposed by `ev` stops, under `curve` from light to pixel values.
+/// Returns the brightness of `scene` (in EV), exposed by `ev` stops. `curve` converts light to pixel values, both
+/// 0..=1; no pixel value is below `floor`.
 fn taken(scene: impl Fn(usize, usize) -> f64, ev: f64, floor: u8, curve: impl Fn(f64) -> f64) -> Brightness {
     let (width, height) = (160, 120);
     let mut samples = Vec::new();
@@ -103,7 +104,7 @@ fn contrasty_steps_are_within_the_reported_uncertainty() {
 
 #[test]
 fn exposure_step_is_measured_in_the_overlap() {
-    // A window at the left, a sixth of the first frame, which the other frame does not show.
+    // The left sixth of the first frame shows a window, which the other frame does not show.
     let window = |x: usize, y: usize| if x < 26 { 1.0 + 2.0 * (y as f64 / 9.0).sin() } else { five_decades(x, y) };
     let frames = [taken(window, -1.5, 0, linear_to_srgb), taken(|x, y| window(x + 26, y), 0.0, 0, linear_to_srgb)];
     let shared = estimate(&frames).unwrap().evs[1];
@@ -153,15 +154,15 @@ fn equal_exposures_of_different_pictures_contradict() {
     assert!(contradiction(&[-5.0, -5.0], &frames).is_some());
     assert_eq!(contradiction(&[-5.0, -4.0], &frames), None);
     assert!(contradiction(&[-4.0, -5.0], &frames).is_some());
-    // A third of a stop in light is weather, not a contradiction.
+    // A difference of 0.3 EV in light may be due to the weather, and is not a contradiction.
     assert_eq!(contradiction(&[0.0, 0.0], &[picture(0.0, 0), picture(0.3, 0)]), None);
 }
 
 #[test]
 fn a_step_that_is_far_off_contradicts() {
     let frames = [picture(0.0, 0), picture(2.0, 0)];
-    // A written step that is 2 EV too large is tolerated, because the estimate may be rough. One that is 20 EV too
-    // large, a factor of a million, contradicts.
+    // A written step that is 2 EV too large is tolerated, because the estimate may be rough. A written step that is 20
+    // EV too large, a factor of a million, is a contradiction.
     assert_eq!(contradiction(&[0.0, 4.0], &frames), None);
     assert!(contradiction(&[0.0, 22.0], &frames).is_some());
     assert!(contradiction(&[22.0, 0.0], &frames).is_some());
@@ -181,13 +182,13 @@ fn the_few_are_at_odds_with_the_many() {
     };
     assert_eq!(with(&[(2, 20.0)]), Some(vec![2]));
     assert_eq!(with(&[(1, -9.0), (3, 7.0)]), Some(vec![1, 3]));
-    // The odd frame is found for any contrast of the camera: with half of the contrast of sRGB, steps are measured as a
-    // third of the true ones.
+    // The odd frame is found even if the contrast of the camera is unusual. With half of the contrast of sRGB, the
+    // measured steps are a third of the true steps.
     let flat: Vec<_> = [-4.0, 0.0, 4.0, 2.0].map(|ev| seen(ev, (0.0, 0.5), 0)).into();
     assert_eq!(at_odds(&[-4.0, 0.0, 20.0, 2.0], &flat), Some(vec![2]));
-    // Leaving out frame 1 or frame 2 removes the contradiction; without frame 1 the steps agree best.
+    // Leaving out frame 1 or frame 2 removes the contradiction. The remaining step agrees best if frame 1 is left out.
     assert_eq!(at_odds(&[-2.0, 2.5, 2.0], &frames[..3]), Some(vec![1]));
-    // Three of five frames are not a minority. Of three frames in reverse order, no two agree.
+    // Three of five frames are not a minority. Of three frames in reverse order, any two contradict each other.
     assert_eq!(with(&[(0, 9.0), (1, -9.0), (3, 14.0)]), None);
     assert_eq!(at_odds(&[2.0, 0.0, -2.0], &frames[..3]), None);
     assert_eq!(at_odds(&[0.0, 0.0], &frames[..2]), None);

@@ -1,4 +1,4 @@
-//! The result of the search for brackets, as text and as JSON.
+//! Formats the result of the search for brackets as text and as JSON.
 
 use hdralign::batch::find::{Found, FoundBracket, LeftOver, Reason, Shot};
 use hdralign::batch::plan::{Job, Kind, Planned};
@@ -10,17 +10,17 @@ use std::path::{Path, PathBuf};
 
 /// The version of the format of `--dry-run --json`: keys may be added, but are never removed.
 const SCHEMA: &str = "hdralign-found/1";
-/// Largest number of photographs in no bracket that are listed for each reason; `--json` lists all.
+/// Largest number of unused photographs that are listed for each reason; `--json` lists all.
 const LISTED: usize = 20;
-/// Largest number of frames of a bracket for which every exposure is listed; for larger brackets only the range is.
+/// If a bracket has at most this number of frames, the exposure of each frame is listed; otherwise only their range.
 const EXPOSURES: usize = 9;
 
-/// Returns the brackets as input of a plan.
+/// Returns the brackets in the form that a plan is made from.
 pub fn planned(found: &Found) -> Vec<Planned> {
     found.brackets.iter().map(Planned::from).collect()
 }
 
-/// Returns the photographs in no bracket, with the reasons.
+/// Returns the photographs that are in no bracket, each with the reason.
 pub fn unused(found: &Found) -> Vec<Unused> {
     let unused = |l: &LeftOver| Unused { path: l.path.to_string_lossy().into_owned(), reason: l.reason.to_string() };
     found.left_over.iter().map(unused).collect()
@@ -48,7 +48,7 @@ pub fn many(n: usize, what: &str) -> String {
     if n == 1 { format!("1 {what}") } else { format!("{n} {what}s") }
 }
 
-/// Returns the error that no bracket was found, with the most frequent reason.
+/// Returns the error for a search that found no bracket. It contains the most frequent reason.
 pub fn nothing(folders: &[PathBuf], found: &Found) -> Error {
     let most = by_kind(found).into_iter().max_by_key(Vec::len);
     let why = match most {
@@ -63,7 +63,7 @@ pub fn nothing(folders: &[PathBuf], found: &Found) -> Error {
     Error::NoBracket { path: folders.first().cloned().unwrap_or_default(), reason: why }
 }
 
-/// Returns the table of `--dry-run`.
+/// Returns the table that `--dry-run` prints.
 pub fn table(found: &Found, jobs: &[Job]) -> String {
     let names: Vec<&Job> = jobs.iter().filter(|job| job.kind == Kind::Merge).collect();
     let mut rows =
@@ -108,20 +108,20 @@ pub fn table(found: &Found, jobs: &[Job]) -> String {
     text + &counted(found, found.brackets.len()) + "\n"
 }
 
-/// Returns the path of the results of `job` without extension, relative to the folder of the summary.
+/// Returns the path of the results of `job`, without extension and relative to the folder of the summary.
 fn result(job: &Job) -> String {
     let home = job.summary.parent().unwrap_or(Path::new(""));
     let report = job.report.strip_prefix(home).unwrap_or(&job.report);
     report.with_extension("").to_string_lossy().into_owned()
 }
 
-/// Returns `name` with escaped control characters, for a row of a table.
+/// Returns `name` with control characters escaped, so that it stays on one row of a table.
 fn one_line(name: &str) -> String {
     let plain = |c: char| if c.is_control() { c.escape_default().to_string() } else { c.to_string() };
     name.chars().map(plain).collect()
 }
 
-/// Returns the number of photographs in no bracket, without results of hdralign.
+/// Returns the number of photographs in no bracket. Results that hdralign wrote are not counted.
 pub fn left_over(found: &Found) -> usize {
     found.left_over.iter().filter(|left_over| !matches!(left_over.reason, Reason::Result(_))).count()
 }
@@ -131,7 +131,7 @@ pub fn unreadable(found: &Found) -> Vec<&LeftOver> {
     found.left_over.iter().filter(|left_over| matches!(left_over.reason, Reason::Unreadable(_))).collect()
 }
 
-/// Returns the photographs in no bracket, grouped by kind of reason; groups are in the order of their first
+/// Returns the photographs in no bracket, grouped by the kind of reason. The groups are in the order of their first
 /// photographs.
 fn by_kind(found: &Found) -> Vec<Vec<&LeftOver>> {
     let mut groups: Vec<Vec<&LeftOver>> = Vec::new();
@@ -149,8 +149,8 @@ fn file_name(shot: &Shot) -> String {
     shot.path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Returns the exposures in EV relative to the median exposure as text; only the range if there are more than
-/// [`EXPOSURES`].
+/// Returns the exposures of the frames as text, in EV relative to the median exposure. If there are more than
+/// [`EXPOSURES`] frames, returns only the range.
 fn exposures(bracket: &FoundBracket) -> String {
     let all: Option<Vec<f64>> = evs(bracket).into_iter().collect();
     let Some(all) = all else { return "unknown".into() };
@@ -179,8 +179,8 @@ fn start(bracket: &FoundBracket) -> Option<String> {
     Some(bracket.photographs.first()?.header.taken?.to_string())
 }
 
-/// Returns the seconds from the recorded time of the first photograph to that of the last, plus the exposure time of
-/// the last if it is known.
+/// Returns the duration of the bracket in seconds: from the recorded time of the first photograph to that of the
+/// last, plus the exposure time of the last photograph if it is known.
 fn lasts_s(bracket: &FoundBracket) -> Option<f64> {
     let (first, last) = (bracket.photographs.first()?, bracket.photographs.last()?);
     let time = last.header.exposure.time_s.map_or(0.0, |t| t.0);

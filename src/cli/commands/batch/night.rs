@@ -1,4 +1,4 @@
-//! A batch on this machine: progress, interruption, and the summary at the end.
+//! Runs a batch on this machine: shows the progress, handles interruption, and prints the summary at the end.
 
 use super::found::{left_over, many, unreadable, unused};
 use super::{Args, exit_code};
@@ -24,14 +24,14 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Largest number of jobs that the summary lists for each problem.
+/// Largest number of jobs or files that the summary lists for each kind of problem.
 const LISTED: usize = 10;
 
-/// Progress of the search for brackets: the number of headers that were read.
+/// Shows the progress of the search for brackets: the number of headers that were read.
 pub struct Searching(ProgressBar);
 
 impl Searching {
-    /// Creates the progress display; it is shown only if stderr is a terminal, and not with `quiet`.
+    /// Creates the progress display. It is shown only if stderr is a terminal and `quiet` is false.
     pub fn new(quiet: bool) -> Searching {
         let bar = if is_shown(quiet) { ProgressBar::new_spinner() } else { ProgressBar::hidden() };
         if let Ok(style) = ProgressStyle::with_template("{spinner} reading headers: {pos}") {
@@ -65,8 +65,8 @@ struct Board {
     began: Instant,
     jobs: usize,
     ended: AtomicUsize,
-    /// Sums of the estimated times in seconds: of all jobs; of the ended jobs that this run worked on; of all ended
-    /// jobs.
+    /// Estimated times in seconds. The first number is the sum over all jobs. The pair contains the sum over the
+    /// ended jobs that this run worked on, and the sum over all ended jobs.
     planned: (f64, Mutex<(f64, f64)>),
     quiet: bool,
     verbose: bool,
@@ -114,7 +114,7 @@ impl Board {
             _ => &[],
         };
         self.bar.suspend(|| {
-            // A failure is an error, which is also printed with --quiet.
+            // A failed job is an error, so it is printed even with --quiet.
             if let Some(line) = line.filter(|_| is_failure || !self.quiet) {
                 let terminal = Terminal::of_stderr();
                 let text = if is_failure { terminal.bad(&line) } else { line };
@@ -127,8 +127,9 @@ impl Board {
         self.bar.set_prefix(left(self.left_s(job.time_s, is_work)));
     }
 
-    /// Counts a job with the estimated time `time_s` as ended, and returns the seconds left, from the ratio of measured
-    /// to estimated time so far. `is_work` is false if the job was done before.
+    /// Counts a job with the estimated time `time_s` as ended, and returns the seconds left: the estimated time of
+    /// the jobs that have not ended, times the ratio of elapsed to estimated time so far. `is_work` is false if the
+    /// job was already done in an earlier run.
     fn left_s(&self, time_s: f64, is_work: bool) -> Option<f64> {
         let (all, so_far) = &self.planned;
         let mut so_far = so_far.lock().unwrap_or_else(PoisonError::into_inner);
@@ -140,7 +141,7 @@ impl Board {
     }
 }
 
-/// Returns the message that is printed once for a full disk.
+/// Returns the message for a full disk, which is printed once.
 fn full(job: &Job) -> String {
     let folder = job.report.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     format!(
@@ -149,7 +150,7 @@ fn full(job: &Job) -> String {
     )
 }
 
-/// Returns the line for a job that is done; `is_new` is false if it was done before.
+/// Returns the line for a job that is done. `is_new` is false if it was already done in an earlier run.
 pub fn described(id: &str, brief: &Brief, is_new: bool) -> String {
     let mut words = Vec::new();
     match brief.time_s.filter(|_| is_new) {
@@ -168,7 +169,7 @@ pub fn described(id: &str, brief: &Brief, is_new: bool) -> String {
     format!("{id}: {}", words.join(", "))
 }
 
-/// Runs all jobs with a progress bar, writes and prints the summary, and returns the exit code.
+/// Runs all jobs and shows a progress bar. Then writes and prints the summary, and returns the exit code.
 pub fn run(jobs: &[Job], found: &Found, options: Options, args: &Args) -> Result<ExitCode, Error> {
     let home = open_home(&jobs[0].summary, args)?;
     let mut options = options;
@@ -185,7 +186,8 @@ pub fn run(jobs: &[Job], found: &Found, options: Options, args: &Args) -> Result
     finish(&summary, &jobs[0].summary, left_over.as_ref(), args)
 }
 
-/// Creates and returns the folder of the summary `path`. Checks before hours of work that the summary can be written.
+/// Creates the folder of the summary file `path`, and returns it. Checks that the summary can be written, because the
+/// user should not learn this only after hours of work.
 pub fn open_home(path: &Path, args: &Args) -> Result<PathBuf, Error> {
     let home = path.parent().unwrap_or(Path::new(".")).to_owned();
     std::fs::create_dir_all(&home).map_err(|source| Error::Write { path: home.clone(), source })?;
@@ -194,7 +196,7 @@ pub fn open_home(path: &Path, args: &Args) -> Result<PathBuf, Error> {
     Ok(home)
 }
 
-/// The number of photographs in no bracket, and those that cannot be read.
+/// The photographs in no bracket: their number, and those that cannot be read.
 pub struct LeftOver<'a> {
     count: usize,
     unreadable: Vec<&'a find::LeftOver>,
@@ -213,8 +215,8 @@ fn limits(work: &Work, jobs: Option<usize>, home: &Path) -> Result<Limits, Error
     Ok(Limits { jobs: jobs.unwrap_or(threads), threads, memory: work.memory(|| home.to_owned()) })
 }
 
-/// Writes the summary to `path`, prints it, and returns the exit code. If a photograph cannot be read, or the summary
-/// cannot be written, the exit code is that of a batch that is only partly done.
+/// Writes the summary to `path`, prints it, and returns the exit code. If a photograph cannot be read or the summary
+/// cannot be written, a batch that did all its jobs gets the exit code for a partly done batch.
 pub fn finish(summary: &Summary, path: &Path, left_over: Option<&LeftOver>, args: &Args) -> Result<ExitCode, Error> {
     let files = summary.write(path, args.work.force);
     if !args.work.quiet {
@@ -238,7 +240,8 @@ pub fn finish(summary: &Summary, path: &Path, left_over: Option<&LeftOver>, args
     Ok(if is_degraded && outcome == Outcome::All { ExitCode::from(3) } else { exit_code(outcome) })
 }
 
-/// Returns a line with `label` for each of the first [`LISTED`] texts, and a line with the number of the others.
+/// Returns a line for each of the first [`LISTED`] texts, and one more line with the number of remaining texts, if
+/// any. Each line starts with `label`.
 fn listed(label: &str, texts: impl ExactSizeIterator<Item = String>) -> Vec<String> {
     let more = texts.len().saturating_sub(LISTED);
     let mut lines: Vec<String> = texts.take(LISTED).map(|text| format!("{label:<11}{text}")).collect();
@@ -259,7 +262,7 @@ fn lines(summary: &Summary, files: Option<&[PathBuf; 2]>, left_over: Option<&Lef
         (counts.degraded, "degraded"),
     ];
     let words: Vec<String> = all.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")).collect();
-    // With --shared-response there are also jobs that recover responses.
+    // With --shared-response, some jobs recover responses, so not every job stands for a bracket.
     let is_of_brackets = summary.jobs.iter().all(|row| row.kind == Kind::Merge);
     let jobs = if is_of_brackets { "brackets" } else { "jobs" };
     let mut lines = vec![format!("{jobs:<11}{} of {}", words.join(", "), counts.jobs)];

@@ -1,12 +1,12 @@
-//! The Huffman code of PIZ: 16-bit values, a code for runs, and the table of code lengths before them.
+//! The Huffman coding of PIZ: a table of code lengths, then the codes of 16-bit values and of runs of equal values.
 //!
 //! In: values. Out: the table and the codes, highest bit first. Cost: 2 to 3 ns per value, and 1 ms for the table of
 //! 10,000 different values. Source: `ImfHuf.cpp` (`hufCompress`); D. A. Huffman, "A Method for the Construction of
-//! Minimum-Redundancy Codes", Proc. IRE 40 (1952); two sorted rows of nodes instead of a heap: J. van Leeuwen, "On
-//! the construction of Huffman trees" (1976).
+//! Minimum-Redundancy Codes", Proc. IRE 40 (1952). Two sorted queues of nodes instead of a heap are from J. van
+//! Leeuwen, "On the construction of Huffman trees" (1976).
 //!
-//! Of equally frequent nodes the one with the lower value comes first, and an inner node has the value of its second
-//! child. This determines the code lengths, and with them every byte.
+//! If two nodes are equally frequent, the node with the lower symbol comes first; an inner node has the symbol of its
+//! second child. This rule determines the code lengths, and thereby every byte of the output.
 
 /// Number of symbols: all 16-bit values, and the symbol for runs, which follows the largest value that occurs.
 const SYMBOLS: usize = (1 << 16) + 1;
@@ -15,15 +15,16 @@ const SYMBOLS: usize = (1 << 16) + 1;
 /// shorter.
 const LONGEST: usize = 58;
 
-/// Lengths of the shortest and the longest run of empty entries in the table that takes 14 bits; shorter runs take 6
-/// bits.
+/// The table of code lengths stores runs of empty entries. Runs of `LONG_RUN` to `MOST_RUN` entries take 14 bits,
+/// shorter runs take 6 bits.
 const LONG_RUN: usize = 6;
 const MOST_RUN: usize = 255 + LONG_RUN;
 
 /// Encodes blocks; keeps its tables from block to block.
 #[derive(Debug)]
 pub(super) struct Coder {
-    /// Counts of each value, in two parts, because increments of the same counter wait for each other.
+    /// Two counters for each value, one for values at even positions and one for values at odd positions. With a
+    /// single counter, the increments for two equal neighbours would wait for each other.
     counts: Box<[[u32; 1 << 16]; 2]>,
     /// The code of every symbol, shifted left by 6 bits to make room for its length; 0 for symbols that do not occur.
     codes: Box<[u64; SYMBOLS]>,
@@ -32,7 +33,7 @@ pub(super) struct Coder {
     leaves: Vec<u64>,
     /// For every inner node, a key as in `leaves`, and the number of the node among all nodes; the rarest first.
     inner: Vec<(u64, u32)>,
-    /// The number of the parent of every node, leaves first; later the depth of the node.
+    /// For every node, leaves first: the number of its parent, later replaced by the depth of the node.
     parents: Vec<u32>,
 }
 
@@ -49,7 +50,7 @@ impl Default for Coder {
 }
 
 impl Coder {
-    /// Appends `values`, which are not empty, as a header, the table and the codes.
+    /// Appends the header, the table and the codes for `values`, which must not be empty.
     pub(super) fn encode(&mut self, values: &[u16], out: &mut Vec<u8>) {
         let (first, last) = self.count(values);
         let most_bits = self.assign_lengths();
@@ -66,8 +67,8 @@ impl Coder {
         self.codes[first..=last].fill(0);
     }
 
-    /// Counts the values into leaves. Returns the first and the last symbol that occur. The last is the symbol of runs,
-    /// one above the largest value.
+    /// Counts the values and fills `leaves`. Returns the first and the last symbol that occur. The last is the symbol
+    /// for runs, one above the largest value.
     fn count(&mut self, values: &[u16]) -> (usize, usize) {
         let [even, odd] = &mut *self.counts;
         let (pairs, rest) = values.as_chunks::<2>();
@@ -79,7 +80,7 @@ impl Coder {
             even[usize::from(value)] += 1;
         }
         self.leaves.clear();
-        // Most of the table is empty: it is read in groups of 16 entries.
+        // Most counters are 0, so they are read in groups of 16, and groups without a count are skipped.
         for (at, (even, odd)) in even.as_chunks_mut::<16>().0.iter_mut().zip(odd.as_chunks_mut::<16>().0).enumerate() {
             if (0..16).fold(0, |any, i| any | even[i] | odd[i]) == 0 {
                 continue;
@@ -100,8 +101,8 @@ impl Coder {
         (first, runs)
     }
 
-    /// Writes the length of the code of every symbol to `codes`. Returns the number of bits of all values if none is
-    /// encoded as a run, plus one code for runs.
+    /// Writes the length of the code of every symbol to `codes`. Returns the number of bits of all values, if none is
+    /// encoded as a run, plus the bits of one code for runs.
     fn assign_lengths(&mut self) -> u64 {
         let Coder { codes, leaves, inner, parents, .. } = self;
         let leaf_count = leaves.len();
@@ -110,7 +111,7 @@ impl Coder {
         inner.clear();
         let (mut next_leaf, mut next_inner) = (0, 0);
         for node in leaf_count..2 * leaf_count - 1 {
-            // Takes the smallest node of both rows; called twice.
+            // Takes the node with the smallest key from `leaves` and `inner`; called twice for each new node.
             let mut least = || {
                 let inner_key = inner.get(next_inner).map_or(u64::MAX, |n: &(u64, u32)| n.0);
                 let leaf_key = leaves.get(next_leaf).map_or(u64::MAX, |&key| key);
@@ -124,8 +125,9 @@ impl Coder {
             };
             let ((rare, a), (frequent, b)) = (least(), least());
             (parents[a], parents[b]) = (node as u32, node as u32);
-            // The sum of the frequencies, and the symbol of the second child. No previous node is more frequent, but
-            // some that are equally frequent may have a larger symbol.
+            // The key contains the sum of the frequencies and the symbol of the second child. No previous inner node
+            // is more frequent, but an equally frequent one may have a larger symbol; the new node is inserted before
+            // it.
             let key = frequent + (rare >> 17 << 17);
             let mut at = inner.len();
             while at > next_inner && inner[at - 1].0 > key {
@@ -133,7 +135,8 @@ impl Coder {
             }
             inner.insert(at, (key, node as u32));
         }
-        // Depths from the root, which is last, downwards: each node is one deeper than its parent.
+        // Depths are computed from the root, which is the last node, downwards: each node is one deeper than its
+        // parent.
         let root = 2 * leaf_count - 2;
         parents[root] = 0;
         for node in (0..root).rev() {
@@ -169,7 +172,8 @@ impl Coder {
     /// Writes the lengths of the codes, 6 bits each; symbols that do not occur are written as runs.
     fn put_table(&self, first: usize, last: usize, out: &mut Vec<u8>) {
         let codes = &self.codes[first..=last];
-        // Every entry takes 6 bits or less: a run of six entries or more takes 14 bits.
+        // One byte for each entry is enough: an entry takes at most 6 bits, and a run of six or more entries takes
+        // only 14 bits.
         let mut bits = Bits::within(out, codes.len() + 8);
         let mut at = 0;
         while at < codes.len() {
@@ -178,7 +182,7 @@ impl Coder {
                 at += 1;
                 continue;
             }
-            // Every run ends before the last symbol, which occurs.
+            // Every run ends before the last symbol, because that symbol occurs.
             let run = codes[at..].iter().take(MOST_RUN).take_while(|&&code| code == 0).count();
             match run {
                 1 => bits.put(0, 6),
@@ -190,8 +194,8 @@ impl Coder {
         bits.end();
     }
 
-    /// Writes the codes of the values, with the symbol `runs` for repetitions where that is shorter, so at most
-    /// `most_bits` bits. Returns the number of bits.
+    /// Writes the codes of the values. Repetitions are written with the symbol `runs` where that is shorter, so at
+    /// most `most_bits` bits are written. Returns the number of bits.
     fn put_values(&self, values: &[u16], runs: usize, most_bits: u64, out: &mut Vec<u8>) -> u64 {
         let codes = &self.codes[..];
         let of_runs = codes[runs];
@@ -241,26 +245,26 @@ struct Bits<'a> {
     out: &'a mut Vec<u8>,
     start: usize,
     at: usize,
-    /// Bits that are not written yet, at the top; the others are 0.
+    /// The last `held` bits, which do not fill a byte yet, at the top of the word; the other bits of the word are 0.
     word: u64,
     held: u64,
 }
 
 impl<'a> Bits<'a> {
-    /// Creates a writer with room for `bytes`. As [`put`](Self::put) always writes 8 bytes, this must be 8 more than
-    /// needed.
+    /// Creates a writer with room for `bytes` bytes. This must be 8 bytes more than needed, because
+    /// [`put`](Self::put) always writes 8 bytes.
     fn within(out: &'a mut Vec<u8>, bytes: usize) -> Self {
         let start = out.len();
         out.resize(start + bytes, 0);
         Bits { out, start, at: start, word: 0, held: 0 }
     }
 
-    /// Appends the low `count` bits of `bits`, whose higher bits are 0; at most 56.
+    /// Appends the low `count` bits of `bits`, at most 56. The higher bits of `bits` must be 0.
     #[inline(always)]
     fn put(&mut self, bits: u64, count: u64) {
         self.held += count;
         self.word |= bits << (64 - self.held);
-        // All 8 bytes are written. Bytes that are not full yet are overwritten the next time.
+        // All 8 bytes are written. Bytes that are not full yet are overwritten by the next call.
         self.out[self.at..self.at + 8].copy_from_slice(&self.word.to_be_bytes());
         self.at += (self.held >> 3) as usize;
         self.word <<= self.held & 0x38;
@@ -279,8 +283,8 @@ impl<'a> Bits<'a> {
 mod tests {
     use super::*;
 
-    /// Returns (symbol, length of its code) for all symbols that occur, by taking the rarest nodes from a sorted list,
-    /// as from the heap of the source, and counting depths.
+    /// The reference implementation: returns (symbol, length of its code) for all symbols that occur. It repeatedly
+    /// joins the two rarest nodes of a sorted list, where `ImfHuf.cpp` uses a heap, and counts depths.
     fn textbook(values: &[u16]) -> Vec<(usize, u64)> {
         let mut counts = std::collections::BTreeMap::new();
         values.iter().for_each(|&v| *counts.entry(usize::from(v)).or_insert(0u64) += 1);
@@ -306,7 +310,7 @@ mod tests {
             let values: Vec<u16> = (0..30 * (kind as usize + 1))
                 .map(|_| {
                     state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-                    // From uniform to steep distributions.
+                    // The distributions range from uniform to steep.
                     let v = (state >> 48) as u16;
                     (0..kind % 4).fold(v % 300, |v, _| v & (state >> 33) as u16)
                 })

@@ -1,12 +1,12 @@
 //! PIZ, OpenEXR's lossless wavelet compression of blocks of 32 rows.
 //!
-//! In: the rows of a block as planes of 16-bit values. Out: the block as in the file. Cost: 10 ns per value and core
-//! for half floats of noisy photographs; memory only for buffers that are reused. Source: the PIZ format of C. Rouet
-//! in OpenEXR: `ImfPizCompressor.cpp`, `ImfWav.cpp`, `ImfHuf.cpp`.
+//! In: the rows of a block as planes of 16-bit values. Out: the block as it is stored in the file. Cost: 10 ns per
+//! value and core for half floats of noisy photographs; memory only for buffers that are reused. Source: the PIZ
+//! format of C. Rouet in OpenEXR: `ImfPizCompressor.cpp`, `ImfWav.cpp`, `ImfHuf.cpp`.
 //!
-//! The values that occur are numbered in order, so that fewer bits are needed; wavelets remove what is smooth; and a
-//! Huffman code with run lengths compresses the rest. The tests compare the bytes with those of the `exr` crate, which
-//! takes three times as long.
+//! A block is compressed in three steps. The values that occur are replaced by consecutive numbers, so that fewer
+//! bits are needed. A wavelet transform turns smooth areas into small differences. A Huffman code with run lengths
+//! compresses the result. The tests compare the bytes with those of the `exr` crate, which takes three times as long.
 
 mod huffman;
 mod wavelet;
@@ -19,13 +19,14 @@ pub(super) struct Packer {
     width: usize,
     /// Number of 16-bit words per sample: 1 or 2.
     words: usize,
-    /// The words of B, G and R; for floats the low and then the high words of each.
+    /// The words of B, G and R, one channel after the other. For floats, each channel has first all low words, then
+    /// all high words.
     planes: Vec<u16>,
     coded: Vec<u16>,
     scratch: Vec<u16>,
-    /// For every value, whether it occurs, as 0 or 1.
+    /// For every 16-bit value: 1 if it occurs in the block, otherwise 0.
     occurs: Box<[u8; 1 << 16]>,
-    /// For every value, its number among the values that occur.
+    /// For every 16-bit value: its number among the values that occur.
     numbers: Box<[u16; 1 << 16]>,
     coder: huffman::Coder,
 }
@@ -46,16 +47,17 @@ impl Default for Packer {
 }
 
 impl Packer {
-    /// Returns the planes of a block, B, G and R one after the other, each with its low words first. The block has
-    /// `rows` rows of `width` samples of `words` 16-bit words, 1 or 2. Fill all planes before [`pack`](Self::pack).
+    /// Returns the planes of a block, which must be filled before [`pack`](Self::pack): B, G and R one after the
+    /// other, each with its low words first. The block has `rows` rows of `width` samples; a sample has `words`
+    /// 16-bit words, 1 or 2.
     pub(super) fn planes(&mut self, width: usize, rows: usize, words: usize) -> &mut [u16] {
         (self.width, self.words) = (width, words);
         self.planes.resize(3 * words * rows * width, 0);
         &mut self.planes
     }
 
-    /// Appends the compressed block that [`planes`](Self::planes) was filled with, or the uncompressed one if that is
-    /// not larger.
+    /// Compresses the block in [`planes`](Self::planes) and appends it to `out`. If the uncompressed block is not
+    /// larger, appends that instead.
     pub(super) fn pack(&mut self, out: &mut Vec<u8>) {
         let start = out.len();
         let size = self.planes.len() / (3 * self.words);
@@ -75,7 +77,7 @@ impl Packer {
         let length = out.len();
         out.extend_from_slice(&[0; 4]);
         self.coder.encode(coded, out);
-        // A block of 32 rows is always smaller than 2 GB, so its length fits.
+        // A block of 32 rows is always smaller than 2 GB, so its length fits into 32 bits.
         let packed = (out.len() - length - 4) as u32;
         out[length..length + 4].copy_from_slice(&packed.to_le_bytes());
         if out.len() - start >= 2 * self.planes.len() {
@@ -84,9 +86,9 @@ impl Packer {
         }
     }
 
-    /// Assigns consecutive numbers to the values that occur, in rising order; the value 0 always gets a number. Appends
-    /// the bitmap of the values that occur, without 0, from the first byte that is not empty to the last. Returns the
-    /// highest number.
+    /// Assigns consecutive numbers to the values that occur, in rising order; the value 0 always gets a number.
+    /// Appends a bitmap of the values that occur, in which 0 is not marked: the indices of its first and last
+    /// non-zero byte, then the bytes from the first to the last. Returns the highest number.
     fn number(&mut self, out: &mut Vec<u8>) -> u16 {
         self.occurs.fill(0);
         for &value in &self.planes {
@@ -96,13 +98,13 @@ impl Packer {
         let mut count = 0u16;
         for (number, &occurs) in self.numbers.iter_mut().zip(self.occurs.iter()) {
             *number = count;
-            // All 65536 values may occur; the number after the last is never used.
+            // If all 65536 values occur, `count` wraps around to 0; `highest` is right in this case, too.
             count = count.wrapping_add(u16::from(occurs));
         }
         let highest = count.wrapping_sub(1);
         self.occurs[0] = 0;
         let (eights, _) = self.occurs.as_chunks::<8>();
-        // Each product moves one of the eight bits to the top byte, without carry.
+        // The multiplication collects the lowest bits of the eight bytes in the top byte, without carry.
         let byte = |eight: &[u8; 8]| (u64::from_le_bytes(*eight).wrapping_mul(0x0102_0408_1020_4080) >> 56) as u8;
         let is_used = |eight: &[u8; 8]| *eight != [0; 8];
         let first = eights.iter().position(is_used).unwrap_or(0);
@@ -113,7 +115,7 @@ impl Packer {
         highest
     }
 
-    /// Appends the uncompressed block, by rows, channels and samples.
+    /// Appends the uncompressed block: row by row, in each row channel by channel, in each channel sample by sample.
     fn put_plain(&self, out: &mut Vec<u8>) {
         let (width, words) = (self.width, self.words);
         let size = self.planes.len() / (3 * words);
@@ -127,7 +129,8 @@ impl Packer {
     }
 }
 
-/// Interleaves the words of each two consecutive planes (low and high words) of `size` words.
+/// Interleaves the words of every pair of planes: the first plane has the low words of `size` samples, the second
+/// plane has the high words.
 fn interleave(planes: &[u16], size: usize, out: &mut Vec<u16>) {
     out.resize(planes.len(), 0);
     for (pair, to) in planes.chunks_exact(2 * size).zip(out.chunks_exact_mut(2 * size)) {
@@ -163,7 +166,7 @@ mod tests {
     use ::exr::meta::attribute::{ChannelDescription, IntegerBounds, LineOrder, SampleType, Text};
     use ::exr::meta::header::Header;
 
-    /// Returns a block, given as its rows by channels, as compressed by the `exr` crate.
+    /// Compresses a block with the `exr` crate. `samples` has the block row by row, and each row channel by channel.
     fn by_the_crate(width: usize, rows: usize, words: usize, samples: &[u16]) -> Vec<u8> {
         let kind = if words == 1 { SampleType::F16 } else { SampleType::F32 };
         let channels = ["B", "G", "R"].map(|name| ChannelDescription::named(name, kind)).into_iter().collect();
@@ -194,7 +197,7 @@ mod tests {
         assert!(ours[6..] == by_the_crate(width, rows, words, &samples), "{width}x{rows}, {words} words");
     }
 
-    /// One packer is used for all blocks, so that data left from one block in the next would be detected.
+    /// One packer is used for all blocks, so that the test detects data that are left over from the previous block.
     #[test]
     fn blocks_are_those_of_the_exr_crate_to_the_byte() {
         let noise = |plane: usize, i: usize| ((plane * 1_000_003 + i).wrapping_mul(2_654_435_761) >> 13) as u16;
@@ -208,7 +211,7 @@ mod tests {
                 check(&mut packer, size, |_, _| 0);
                 check(&mut packer, size, |_, _| 0x3c00);
                 check(&mut packer, size, |plane, i| if noise(plane, i) % 50 == 0 { noise(plane, i) } else { 0x3c00 });
-                // More than 2^14 different values, which use the 16-bit wavelet.
+                // More than 2^14 different values, which need the 16-bit wavelet.
                 check(&mut packer, size, |plane, i| noise(plane, i) / if plane % 2 == 0 { 3 } else { 900 });
                 // Incompressible values.
                 check(&mut packer, size, noise);

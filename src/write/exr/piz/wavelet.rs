@@ -1,19 +1,20 @@
-//! The wavelets of PIZ: sums and differences of neighbours in both directions, then of the sums, and so on.
+//! The wavelet transform of PIZ: sums (stored as means) and differences of neighbours in both directions. The next
+//! level transforms the sums in the same way, and so on.
 //!
-//! In: a plane of 16-bit values. Out: the coefficients in place: differences in every second column or row, the
-//! results of the next level in the others. Cost: 0.5 ns per value. Source: `ImfWav.cpp` (`wav2Encode`, `wenc14`,
-//! `wenc16`).
+//! In: a plane of 16-bit values. Out: the coefficients in place. Where the column or the row number is odd, they are
+//! differences; elsewhere, they are the results of the next level. Cost: 0.5 ns per value. Source: `ImfWav.cpp`
+//! (`wav2Encode`, `wenc14`, `wenc16`).
 //!
-//! The sums of a level are copied to a separate plane for the next, so that every level accesses neighbours in
-//! memory.
+//! The sums of a level are copied to a separate plane for the next level, so that the values that a level combines
+//! are next to each other in memory.
 
 use crate::simd::{Loops, vectorised};
 
 /// Transforms `plane` with `width` values per row, none above `highest`; `scratch` is overwritten.
 pub(super) fn transform(plane: &mut [u16], width: usize, highest: u16, scratch: &mut Vec<u16>) {
     let height = plane.len() / width;
-    // A level needs half the size of its plane, and the plane of the next level is a quarter of it; all levels together
-    // need less than one plane.
+    // A level needs scratch space of half the size of its plane. The plane of the next level has a quarter of the
+    // size, so all levels together need less space than one plane.
     scratch.resize(plane.len().max(scratch.len()), 0);
     if highest < 1 << 14 {
         level::<false>(plane, width, height, scratch);
@@ -22,8 +23,8 @@ pub(super) fn transform(plane: &mut [u16], width: usize, highest: u16, scratch: 
     }
 }
 
-/// Transforms one level and those below it. `WIDE` values use all 16 bits and wrap around; others have 14, so that
-/// sums and differences fit.
+/// Transforms one level and all smaller levels. If `WIDE`, values use all 16 bits, and sums and differences wrap
+/// around. Otherwise values have at most 14 bits, so that sums and differences fit.
 fn level<const WIDE: bool>(plane: &mut [u16], width: usize, height: usize, scratch: &mut [u16]) {
     if width < 2 || height < 2 {
         return;
@@ -41,7 +42,7 @@ fn level<const WIDE: bool>(plane: &mut [u16], width: usize, height: usize, scrat
 fn pair<const WIDE: bool>(a: u16, b: u16) -> (u16, u16) {
     if WIDE {
         let a = a ^ 0x8000;
-        // The mean of two 16-bit values without a 17th bit.
+        // This is the mean of `a` and `b`, computed without a 17th bit for the sum.
         let mean = (a & b) + ((a ^ b) >> 1);
         (if a < b { mean ^ 0x8000 } else { mean }, a.wrapping_sub(b))
     } else {
@@ -50,8 +51,8 @@ fn pair<const WIDE: bool>(a: u16, b: u16) -> (u16, u16) {
     }
 }
 
-/// Writes the sums of each 2 x 2 neighbours and their horizontal differences to separate planes, and the other
-/// differences in place.
+/// Transforms each block of 2 x 2 values: writes its sum to `sums`, its horizontal difference to `across`, and the
+/// other two differences to the lower row of the block in `plane`.
 struct Split<'a, const WIDE: bool> {
     plane: &'a mut [u16],
     width: usize,
@@ -87,7 +88,7 @@ impl<const WIDE: bool> Loops for Split<'_, WIDE> {
     }
 }
 
-/// Copies the separate planes back, and transforms the last of an odd number of rows.
+/// Copies `sums` and `across` back to `plane`. If the number of rows is odd, transforms the last row.
 struct Join<'a, const WIDE: bool> {
     plane: &'a mut [u16],
     width: usize,
@@ -120,7 +121,7 @@ impl<const WIDE: bool> Loops for Join<'_, WIDE> {
 mod tests {
     use super::*;
 
-    /// The loops of `wav2Encode`, in place and with strides.
+    /// The reference implementation: the loops of `wav2Encode`, in place and with strides.
     fn textbook(values: &mut [u16], width: usize, height: usize, wide: bool) {
         let pair = |a: u16, b: u16| {
             if wide {
