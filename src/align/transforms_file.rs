@@ -128,8 +128,8 @@ impl SavedAlignment {
     /// behind the camera nor mirror the picture.
     pub fn from_json(text: &str, path: &Path) -> Result<Self> {
         let wrong = |reason: String| Error::TransformsFile { path: path.to_owned(), reason };
-        let header: Header =
-            serde_json::from_str(text).map_err(|e| wrong(format!("it is not JSON with a \"schema\" ({e})")))?;
+        let header: Header = serde_json::from_str(text)
+            .map_err(|e| wrong(format!("it is not a JSON object with a text \"schema\" ({e})")))?;
         if header.schema != SCHEMA {
             return Err(wrong(format!("its schema is {:?}, but only {SCHEMA:?} is supported", header.schema)));
         }

@@ -139,7 +139,10 @@ impl Frame {
     /// counted.
     fn stored(path: PathBuf, size: (usize, usize), store: Store, well_exposed: u64, exposure: Exposure) -> Self {
         let (width, height) = size;
-        assert!(width > 0 && height > 0 && store.len() == 3 * width * height, "a frame holds three samples a pixel");
+        assert!(
+            width > 0 && height > 0 && store.len() == 3 * width * height,
+            "a frame has three samples for each pixel"
+        );
         Frame {
             path,
             width,

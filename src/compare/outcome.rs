@@ -41,7 +41,7 @@ pub(super) fn validate(criterion: &Criterion) -> Result<()> {
                     "a tolerance; give a colour difference dE, 0 or more, for example 1",
                 )?,
             }
-            check("--max-differing", most_differing_percent, 100.0, "a share; give 0 to 100 percent of the pixels")
+            check("--max-differing", most_differing_percent, 100.0, "a percentage; give 0 to 100 percent of the pixels")
         }
     }
 }
@@ -156,7 +156,7 @@ pub(super) fn decide(
             // Differences outside of the range of PU21, such as between black and a millionth of a cd/m2, have no PSNR.
             None => {
                 let unequal = pixels_are(differing.unequal_pixels);
-                (Outcome::Differs, format!("{unequal} not equal, and {name} cannot measure the difference"))
+                (Outcome::Differs, format!("{unequal} not equal, but by differences that {name} cannot measure"))
             }
         };
     }

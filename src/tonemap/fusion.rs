@@ -39,9 +39,14 @@ impl Options {
                 "contrast",
                 (0.0, 4.0),
                 &mut self.contrast,
-                "exponent of the contrast measure; 0 ignores it",
+                "exponent of the contrast measure: larger values prefer pixels with detail; 0 ignores it",
             ),
-            Setting::number("saturation", (0.0, 4.0), &mut self.saturation, "exponent of the saturation measure"),
+            Setting::number(
+                "saturation",
+                (0.0, 4.0),
+                &mut self.saturation,
+                "exponent of the saturation measure: larger values prefer pixels with strong colours",
+            ),
             Setting::number(
                 "exposedness",
                 (0.0, 4.0),

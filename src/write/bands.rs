@@ -115,7 +115,7 @@ impl<P: Copy + Send + Sync, S: Default + Send> Bands<P, S> {
             return Ok(());
         }
         Err(io::Error::other(format!(
-            "only {} of {} rows were given",
+            "only {} of the {} rows of pixels were written",
             self.done + self.rest.len() / self.width.max(1),
             self.height
         )))

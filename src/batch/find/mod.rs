@@ -142,8 +142,8 @@ impl fmt::Display for Reason {
                 )
             }
             Reason::Format(format) => write!(f, "{format}, which is not supported; convert it to TIFF or JPEG"),
-            Reason::Twin(used) => write!(f, "the same shot as {}, which is used", name(used)),
-            Reason::SameFile(used) => write!(f, "the same file as {}, which is used", used.display()),
+            Reason::Twin(used) => write!(f, "the same shot as {}, which is used instead", name(used)),
+            Reason::SameFile(used) => write!(f, "the same file as {}, which is used instead", used.display()),
             Reason::Result(by) => write!(f, "a result, written by {by}"),
             Reason::Unreadable(why) => write!(f, "{why}"),
             Reason::NoExposure => {
@@ -159,7 +159,7 @@ impl fmt::Display for Reason {
                 "one of {count} in a row with the same exposure; if their EXIF is wrong, put each bracket in its own folder and give --by-folder"
             ),
             Reason::Remainder(frames) => {
-                write!(f, "too few photographs are left around it for a bracket of {frames}")
+                write!(f, "too few photographs are left before and after it for a bracket of {frames}")
             }
             Reason::OtherSize(own, others) => {
                 write!(

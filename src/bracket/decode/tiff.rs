@@ -117,7 +117,7 @@ impl Kind {
             Some(6) => return unsupported("YCbCr"),
             Some(8..=10) => return unsupported("CIE L*a*b*"),
             Some(32844 | 32845) => return unsupported("LogLuv"),
-            _ => return unsupported("of an unknown kind of colour"),
+            _ => return unsupported("an image of unknown colours (PhotometricInterpretation)"),
         };
         let is_palette = matches!(colour, Colour::Palette(_));
         if depth > 8 && (depth != 16 || is_palette) {

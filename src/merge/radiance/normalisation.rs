@@ -32,7 +32,7 @@ pub fn validate(unit_exposure: f64, calibration: &Calibration) -> Result<()> {
     }
     if calibration.is_asked() {
         return refused(
-            "cannot be combined with --calibration-factor, which is for the exposure of one reference frame; \
+            "cannot be combined with --calibration-factor, because the factor is valid only for the exposure of one reference frame; \
              remove --calibration-factor, or replace --normalize with --absolute"
                 .into(),
         );
@@ -54,7 +54,7 @@ pub fn check(reference: &Frame) -> Result<()> {
         ExposureSource::Estimated => "estimated from the pixels",
     };
     refused(format!(
-        "the exposure of {path} is {origin} and not from EXIF, so its radiance cannot be compared with the radiance of other brackets; merge it with {OPTION} bracket"
+        "the exposure of {path} is {origin} and not from EXIF, so its radiance cannot be compared with the radiance of other brackets; give `{OPTION} bracket`"
     ))
 }
 

@@ -69,8 +69,9 @@ pub(super) fn collect(
         return Err(Error::NoResponse { path, reason });
     }
     if left_out.is_empty() && found_given < options.pipeline.align.given.len() {
-        let reason = "one of the photographs named by these options is in no bracket; name photographs of the brackets"
-            .to_owned();
+        let reason =
+            "a photograph that is given with one of these options is in none of the brackets; correct its name"
+                .to_owned();
         return Err(Error::Option { option: "--leave-out or --unmoved", reason });
     }
     warnings.extend(left_out);

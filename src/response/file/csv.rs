@@ -108,7 +108,7 @@ fn matrices(text: &str) -> Result<Vec<Matrix>, String> {
         };
         if !(CODES..=MOST_ROWS).contains(&rows) || !(2..=7).contains(&columns) {
             return Err(format!(
-                "a matrix has {rows} rows and {columns} columns; {CODES} to {MOST_ROWS} rows and 2, 3 or 7 columns are supported"
+                "one of its matrices (tables of numbers) has {rows} rows and {columns} columns; {CODES} to {MOST_ROWS} rows and 2, 3 or 7 columns are supported"
             ));
         }
         let mut matrix = Matrix { columns, rows: Vec::with_capacity(rows) };

@@ -102,7 +102,7 @@ pub fn enough(samples: usize) -> Result<()> {
 pub fn check(samples: &[Sample]) -> Fitted<()> {
     if samples.len() < FEWEST {
         return Err(format!(
-            "only {} evenly bright places of the scene are unclipped in at least two frames; at least {FEWEST} are needed",
+            "only {} places without fine detail are unclipped in at least two frames; at least {FEWEST} are needed",
             samples.len()
         ));
     }
@@ -115,7 +115,7 @@ pub fn check(samples: &[Sample]) -> Fitted<()> {
     }
     if codes.1 - codes.0 < SPAN {
         return Err(format!(
-            "the evenly bright places of the scene have only the pixel values {:.0} to {:.0}; \
+            "the places without fine detail have only the pixel values {:.0} to {:.0}; \
              the largest and the smallest must differ by at least {SPAN}",
             codes.0, codes.1
         ));
@@ -131,7 +131,10 @@ fn check_plausible(g: &[f64; CODES], fit: &Fit) -> Fitted<()> {
     if let Some(z) = flat {
         Err(format!("the recovered response does not rise from pixel value {z} to {}", z + codes))
     } else if !(CONTRAST.0..=CONTRAST.1).contains(&contrast) {
-        Err(format!("the recovered curve has {contrast:.1} stops from pixel value 16 to 240"))
+        Err(format!(
+            "the recovered curve spans {contrast:.1} stops from pixel value 16 to 240; a camera's spans {} to {}",
+            CONTRAST.0, CONTRAST.1
+        ))
     } else if fit.residual_stops.is_nan() || fit.residual_stops > RESIDUAL {
         Err(format!(
             "the pixel values of the frames do not fit their exposures: they deviate by {:.2} stops",

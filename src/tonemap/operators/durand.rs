@@ -39,7 +39,7 @@ impl Options {
                 "base",
                 (0.5, 10.0),
                 &mut self.base_stops,
-                "range that large differences of brightness are reduced to, in stops",
+                "range in stops to which large differences of brightness are reduced",
             ),
             Setting::number(
                 "reach",

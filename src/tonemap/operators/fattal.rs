@@ -49,7 +49,12 @@ impl Options {
                 &mut self.alpha,
                 "gradients (edges) this strong are kept, stronger ones are weakened; 1 is the mean",
             ),
-            Setting::number("beta", (0.6, 1.0), &mut self.beta, "exponent of gradients above alpha, at every scale"),
+            Setting::number(
+                "beta",
+                (0.6, 1.0),
+                &mut self.beta,
+                "exponent applied to stronger gradients than alpha: smaller values weaken them more",
+            ),
             Setting::number(
                 "noise",
                 (0.0, 3.0),

@@ -47,7 +47,7 @@ impl Options {
                 "white",
                 (0.1, 1e6),
                 &mut self.white,
-                "smallest luminance that becomes white, in units in which the average of the scene is key",
+                "smallest luminance that becomes white, after the average of the scene was scaled to `key`",
             ),
             Setting::saturation(&mut self.saturation),
         ]

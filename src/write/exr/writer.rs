@@ -188,7 +188,10 @@ fn encode_band(
     out: &mut Vec<u8>,
 ) -> Encoded {
     let rows = header.compression.scan_lines_per_block();
-    debug_assert!(BAND_ROWS.is_multiple_of(rows), "every block of rows must be inside one band of rows");
+    debug_assert!(
+        BAND_ROWS.is_multiple_of(rows),
+        "a band of rows (written at once) must consist of whole blocks of rows (compressed together)"
+    );
     let mut over = 0;
     let blocks = pixels.chunks(rows * width).enumerate().map(|(i, block)| {
         let (start, y, size) = (out.len(), first + i * rows, (width, block.len() / width));

@@ -147,7 +147,7 @@ impl Writer {
         let Writer { mut file, size, segments, base, map, done, radiance, .. } = self;
         if done < size.1 {
             let given = done + radiance.len() / size.0.max(1);
-            let missing = io::Error::other(format!("only {given} of {} rows were given", size.1));
+            let missing = io::Error::other(format!("only {given} of the {} rows of pixels were written", size.1));
             return Err(file.error(missing));
         }
         let parts = put_together(base, map, segments).map_err(|e| file.error(e))?;
@@ -202,7 +202,7 @@ fn put_together(base: Strips, map: Option<Map>, mut segments: Vec<u8>) -> io::Re
     debug_assert_eq!(
         parts[0].len() + parts[1].len(),
         first_size,
-        "the size of the first image differs from that in the index"
+        "the index of the images has another size for the first image than the file"
     );
     parts.extend(second);
     Ok(parts)

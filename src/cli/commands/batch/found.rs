@@ -53,7 +53,7 @@ pub fn nothing(folders: &[PathBuf], found: &Found) -> Error {
     let most = by_kind(found).into_iter().max_by_key(Vec::len);
     let why = match most {
         Some(shots) => format!(
-            "{} in no bracket, {} of them: {}",
+            "{} in no bracket; the reason for {} of them: {}",
             many(found.left_over.len(), "photograph"),
             shots.len(),
             shots[0].reason
