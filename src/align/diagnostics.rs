@@ -164,9 +164,10 @@ fn angles(found: f64, most: f64) -> Vec<f64> {
 pub enum FeatureKind {
     /// Keypoints of the grey picture.
     Plain,
-    /// Keypoints of the median threshold bitmaps of the picture.
+    /// Keypoints that are detected in the median threshold bitmaps instead of the grey picture.
     Mtb,
-    /// Keypoints of the grey picture and of its bitmaps; each kind is matched only with its own kind.
+    /// Both kinds of keypoints. Keypoints of the grey picture are matched only with each other, and so are those of the
+    /// bitmaps.
     Merged,
 }
 

@@ -11,7 +11,8 @@ impl Window<'_> {
     /// [`grey_brightened`](super::Frame::grey_brightened) where `stops` is given.
     ///
     /// # Panics
-    /// If the window has no such row, or the length of `out` is not the width of the frame.
+    /// If this window (a range of rows of the frame) does not contain row `y`, or the length of `out` is not the width
+    /// of the frame.
     pub fn grey_row(&self, y: usize, stops: Option<u32>, out: &mut [u8]) {
         assert_eq!(out.len(), self.width(), "`out` must have one element for each pixel in a row of the frame");
         let first = 3 * self.width() * (y - self.rows().start);

@@ -190,7 +190,7 @@ pub enum Warning {
         /// The camera of the first bracket.
         kept: String,
     },
-    /// A bracket could not be used to recover the response of several brackets.
+    /// One response is recovered from several brackets, and one of these brackets could not be used.
     #[error("{}: its bracket is not used for the response: {reason}", path.display())]
     BracketLeftOut {
         /// The first photograph of the bracket.

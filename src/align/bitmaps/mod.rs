@@ -52,8 +52,8 @@ impl Default for MtbOptions {
 pub struct MtbMatch {
     /// The motion reference -> frame, in pixels of the full size.
     pub motion: Motion,
-    /// Error estimate of the motion: root mean square over the picture, in pixels of the full size. It covers noise and
-    /// displacements that no shift and rotation can describe.
+    /// Error estimate of the motion: root mean square over the picture, in pixels of the full size. It includes the
+    /// errors from noise, and displacements that no shift and rotation can describe.
     pub error_px: f64,
     /// The percentile of the threshold, the same in both frames.
     pub percentile: Percentile,

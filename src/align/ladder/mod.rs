@@ -77,9 +77,11 @@ enum FirstResult {
     Doubtful(Option<Candidate>),
 }
 
-/// Properties of the reference that are needed to align the frames whose first result is [`FirstResult::Doubtful`].
+/// Properties of the reference that are needed to align the frames that bitmaps and refinement alone do not align
+/// ([`FirstResult::Doubtful`]).
 struct ReferenceFeatures {
-    /// The features of the reference; none if the first result of every frame is final.
+    /// The features of the reference. `None` if bitmaps and refinement aligned every frame, so that features are not
+    /// needed.
     features: Option<FeatureSets>,
     /// The shifts under which the reference matches itself ([`agreement::periods`]), in pixels.
     periods: Vec<(f64, f64)>,
