@@ -99,7 +99,7 @@ impl<L: Loops> NullaryFnOnce for Native<L> {
     }
 }
 
-/// The limit from which on all floats are integers: 2^23 for `f32`, 2^52 for `f64`. If a smaller positive number is
+/// All floats at or above this limit are integers: 2^23 for `f32`, 2^52 for `f64`. If a smaller positive number is
 /// added to the limit, the sum is rounded to an integer, and the low bits of the sum are the number, rounded. This
 /// addition replaces Rust's saturating casts, for which there are no vector instructions.
 const WHOLE: (f32, f64) = (8_388_608.0, 4_503_599_627_370_496.0);

@@ -1,7 +1,7 @@
 //! Grey values for the alignment, row by row.
 //!
 //! In: a row of interleaved RGB pixel values, of 8 or 16 bits. Out: (54 R + 183 G + 19 B) / 256 (Ward 2003, section 2),
-//! as 8 bits. Cost: that of reading the pixel values.
+//! as 8 bits. Cost: reading the pixel values.
 
 use super::{Codes, Window};
 use crate::simd::{Loops, vectorised};

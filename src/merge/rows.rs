@@ -1,7 +1,7 @@
 //! Rows of a tile: merges all frames to radiance, or computes their weights for the report.
 //!
 //! In: the row of each frame, by rising exposure, with weights and factors. Out: the radiance of the row, or the weight
-//! of each frame. Cost: that of the [mean](super::mean).
+//! of each frame. Cost: the [mean](super::mean).
 
 use super::layer::{COLUMNS, Fill, Layer, Taken, Tile};
 use super::mean::Means;

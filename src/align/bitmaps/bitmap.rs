@@ -123,7 +123,7 @@ pub struct ThresholdBitmaps {
 pub(super) type Words<'a> = (&'a [u64], &'a [u64]);
 
 impl ThresholdBitmaps {
-    /// The bitmaps of level `i` of `pyramid` at `percentile`.
+    /// Returns the bitmaps of level `i` of `pyramid`, with the threshold at `percentile`.
     pub fn of_level(pyramid: &GreyPyramid, i: usize, percentile: Percentile, exclusion: u8) -> Self {
         Self::new(pyramid.level(i), &Zone::about(pyramid.histogram(i).value_at(percentile), exclusion))
     }

@@ -4,7 +4,7 @@
 //! fewest pixels differ, and its error estimate. Cost: each round warps the frame once and counts the differing pixels
 //! ten times; two to four rounds are enough. Nothing but the observations is allocated after [`Descent::new`].
 //!
-//! Source: the counts are Ward's (2003, section 2). The thesis on which hdralign is based tries one angle after another
+//! Source: the counts are Ward's (2003, section 2). The thesis that hdralign is based on tries one angle after another
 //! (chapter 4). Here the picture is divided into a grid of cells instead. The counts under shifts of up to two pixels
 //! give the displacement of each cell, and a shift and a rotation are fitted to all cells by least squares.
 

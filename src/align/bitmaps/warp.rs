@@ -3,7 +3,7 @@
 //! In: a frame's bitmaps and a [`Motion`]. Out: the bitmaps on the reference's grid. Other motions with the same
 //! rotation can then be tried by shifting these bitmaps, without warping again. Cost: each word is copied in pieces, at
 //! some 10 ns each: one piece without rotation, about 7 (at most 11) at 5 degrees; nothing is allocated. Source: the
-//! thesis on which hdralign is based rotates the picture pixel by pixel (chapter 4); the decomposition of a rotated row
+//! thesis that hdralign is based on rotates the picture pixel by pixel (chapter 4); the decomposition of a rotated row
 //! into pieces of the frame's rows is new here.
 
 use crate::align::bitmaps::ThresholdBitmaps;

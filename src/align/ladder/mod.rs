@@ -1,7 +1,7 @@
 //! The ladder: the alignment methods, tried in order from the cheapest to the most expensive.
 //!
-//! In: the grey pyramids of a bracket. Out: a [`Placement`] for each frame. Cost: that of [`by_bitmaps`] for a frame
-//! that needs no other method; several times as much for a difficult frame.
+//! In: the grey pyramids of a bracket. Out: a [`Placement`] for each frame. Cost: [`by_bitmaps`] for a frame that needs
+//! no other method; several times as much for a difficult frame.
 //!
 //! A frame is aligned to the reference by bitmaps (`starts`). The transform is refined and then checked (`candidate`).
 //! If the check leaves doubt, further candidates are found (`doubtful`): by alignment to the neighbour in exposure that

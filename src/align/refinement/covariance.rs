@@ -80,8 +80,9 @@ mod tests {
     use super::*;
     use crate::statistics::random;
 
-    /// Computes the covariance of two parameters for points of which each `alike` successive ones have the same
-    /// derivatives and the same residual. Returns it divided by the covariance for independent noise.
+    /// Computes the covariance of two parameters. The points form groups of `alike` successive points; all points of a
+    /// group have the same derivatives and the same residual. Returns the covariance divided by the covariance for
+    /// independent noise.
     fn excess(alike: usize) -> f64 {
         const SIDE: usize = 120;
         let uniform = |i: usize, draw: u64| random(draw, i as u64, 0) as f64 / u64::MAX as f64 - 0.5;

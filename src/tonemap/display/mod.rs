@@ -33,8 +33,8 @@ impl ToSrgb {
         ToSrgb(Conversion::between(primaries, &Primaries::SRGB))
     }
 
-    /// Converts from `primaries` such that light of the chromaticity `light` becomes white. `light` is the CIE xy of
-    /// that light in colours that were adapted from the white of `primaries` to D65.
+    /// Converts from `primaries` so that light of the chromaticity `light` becomes white. `light` is the CIE xy of that
+    /// light in colours that were adapted from the white of `primaries` to D65.
     pub fn balanced(primaries: &Primaries, light: [f64; 2]) -> Self {
         let known = Conversion::balanced(primaries, &Primaries::SRGB, light);
         // Degenerate primaries are treated as sRGB, as by [`from`](Self::from).

@@ -40,8 +40,8 @@ struct Kind {
 }
 
 /// The kinds of curves. Their distributions were fitted to measured or computed curves, at pixel values 16 to 248. The
-/// standard deviation of each term was increased by 0.04 to 0.08, because there are few curves. The shares are estimates
-/// and matter little: doubling the share of renderings or of films changes the mean error of rendered and of
+/// standard deviation of each term was increased by 0.04 to 0.08, because there are few curves. The shares are
+/// estimates and matter little: doubling the share of renderings or of films changes the mean error of rendered and of
 /// photographed brackets by less than 1 %.
 const KINDS: [Kind; 5] = [
     // Renderings, which have the sRGB curve itself.
