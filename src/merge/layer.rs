@@ -44,8 +44,8 @@ const TOP: f32 = 253.0;
 /// if none did.
 const RINGING: f32 = 0.5;
 
-/// Largest radiance, as a multiple of the radiance of the reference frame's middle code value: about 2^80. The smallest
-/// radiance is the inverse. Real exposures and responses are well within this limit, which keeps sums finite.
+/// Largest radiance, about 2^80. The radiance of the reference frame's middle code value is 1. The smallest radiance is
+/// 1 divided by this limit. Real exposures and responses are well within this limit, which keeps sums finite.
 const MOST_RADIANCE: f64 = 1e24;
 /// Largest weight, as a multiple of the weight of the middle code value in the longest exposure: about 2^37. Real
 /// exposures and responses are well within this limit, which keeps sums finite.

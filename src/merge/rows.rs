@@ -43,7 +43,7 @@ pub(super) struct WeighedRow<'a, 'b> {
     pub taken: &'a [Taken<'a>],
     pub means: &'a mut Means,
     /// For each frame and pixel, the sum of the weights of the three channels. It includes the extra weight e of the
-    /// [equation](super::super).
+    /// [equation](super).
     pub weights: &'a mut [[f32; COLUMNS]],
 }
 

@@ -41,9 +41,9 @@ const UNKNOWNS: usize = 9;
 type Row = SVector<f64, UNKNOWNS>;
 type Square = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 
-/// An equation for the parameters (see [`Descent::observations`]). Each cell gives one for each axis and kind of edge:
-/// the scalar product of `row` and the parameters equals `value`, in pixels. If all differing pixels were independent,
-/// the variance of `value` would be 1 / `weight`.
+/// An equation for the parameters (see [`Descent::observations`]). Each cell gives one for each axis and each kind of
+/// edge. The equation says that the scalar product of `row` and the parameters equals `value`, in pixels. If all
+/// differing pixels were independent, the variance of `value` would be 1 / `weight`.
 #[derive(Debug, Clone, Copy)]
 struct Observation {
     row: Row,

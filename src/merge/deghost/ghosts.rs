@@ -35,7 +35,7 @@ pub struct GhostReport {
     /// Share of the cells of the result in which deghosting reduced the weight of at least one frame by more than half.
     pub ghost_fraction: f64,
     /// Share of the cells of the result in which the reference frame is clipped and the shorter frames are removed, so
-    /// that radiance is continued from the surroundings.
+    /// that radiance is interpolated from the surroundings.
     pub continued_fraction: f64,
     /// The frames that were compared, by rising exposure: all but the reference frame and those with assumed
     /// transforms.

@@ -200,8 +200,8 @@ fn row<T: Copy>(cells: &Plane<T>, side: usize, value: impl Fn(T) -> f32, y: usiz
     row
 }
 
-/// Returns `values` where `weights` (0..=1) are 1, elsewhere the mean of the smallest neighbourhood with known values.
-/// Without any known value it returns 0.
+/// Returns `values` where `weights` (0..=1) are 1. Elsewhere returns the mean of the smallest neighbourhood that has
+/// known values, or 0 if no value is known.
 fn continued(values: &Plane<f32>, weights: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (values.width(), values.height());
     if width * height <= 1 {

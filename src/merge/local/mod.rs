@@ -246,8 +246,8 @@ impl LocalGain {
         Photographed { shortest: photographed.shortest * libm::exp2(f64::from(lacks)), ..photographed }
     }
 
-    /// Returns the range of the gain of each frame except the reference, by rising exposure, over the cells that are
-    /// known in the frame and in the reference.
+    /// Returns the range of the gain of each frame except the reference, by rising exposure. Only cells that are known
+    /// in both the frame and the reference are used.
     fn report(&self) -> Vec<LocalFrame> {
         let Some(reference) = self.frames.get(self.reference) else { return Vec::new() };
         let of = |frame: &Processed| {
