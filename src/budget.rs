@@ -50,9 +50,8 @@ const RADIANCE: u64 = 12;
 /// `mantiuk06`, which takes the most.
 const TONES: u64 = 48;
 /// Three times the bytes that fusion takes per pixel, for any number of frames; the factor of three makes it an
-/// integer. The bytes are those of the floats for the sum of weights (4), the pyramid of a frame's weight (16 / 3,
-/// because a pyramid has 4/3 of the pixels), three channels of a frame (12), and the three pyramids of the result
-/// (16).
+/// integer. The bytes are floats: the sum of weights (4), the pyramid of a frame's weight (16 / 3, because a pyramid
+/// has 4/3 of the pixels), three channels of a frame (12), and the three pyramids of the result (16).
 const FUSION_3: u64 = 12 + 16 + 36 + 48;
 /// Three times the bytes per pixel of the pyramid of one channel (16 / 3). Up to three of these pyramids are computed
 /// in parallel.

@@ -82,11 +82,11 @@
 //!
 //! # Layers
 //!
-//! A module uses only modules before it in this list: [`error`], [`limits`], `intake`, `tiff_file`, [`simd`],
-//! [`plane`], `statistics`, [`scratch`], `budget`, [`pyramid`], `pixel`, [`bracket`], [`align`], [`response`],
-//! [`merge`], [`tonemap`], [`mod@write`], [`read`], [`report`], `draw`, [`inspect`], [`compare`], `page`,
-//! [`pipeline`], [`batch`], and the program's `cli`. In the folder of a stage, `mod.rs` has the main types and the
-//! entry function, which may be a re-export.
+//! The modules are listed from the lowest layer to the highest. A module uses only those before it: [`error`],
+//! [`limits`], `intake`, `tiff_file`, [`simd`], [`plane`], `statistics`, [`scratch`], `budget`, [`pyramid`], `pixel`,
+//! [`bracket`], [`align`], [`response`], [`merge`], [`tonemap`], [`mod@write`], [`read`], [`report`], `draw`,
+//! [`inspect`], [`compare`], `page`, [`pipeline`], [`batch`], and the program's `cli`. In the folder of a stage,
+//! `mod.rs` has the main types and the entry function, which may be a re-export.
 //!
 //! # Reproducible results
 //!

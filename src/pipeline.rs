@@ -175,9 +175,9 @@ fn announce(watch: Watch, stage: Stage) -> Result<()> {
 
 /// Aligns, calibrates, merges, tone-maps and writes the bracket `images`, and returns the report.
 ///
-/// Files are renamed to their names only when all are complete: on an error there are no new output files. The result
-/// does not depend on the order of `images` (unless exposures or the reference are given by position), on the number
-/// of threads, on the memory limit, or on the machine.
+/// Files are written under temporary names, and get their final names only when all are complete. So after an error
+/// there are no new output files. The result does not depend on the order of `images` (unless exposures or the
+/// reference are given by position), on the number of threads, on the memory limit, or on the machine.
 ///
 /// # Errors
 /// See [`Error`]; the text names the file and the remedy.

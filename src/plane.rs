@@ -1,8 +1,8 @@
 //! [`Plane`], the image buffer, and the bands of rows for parallel work.
 //!
 //! In: sizes and closures. Out: images with the same bytes on any number of threads. This is so because the bands
-//! depend only on the height, each band is computed independently, and the results of the bands are collected or
-//! folded in index order. Cost: that of the closures.
+//! depend only on the height, each band is computed independently, and the results of the bands are collected or folded
+//! in index order. Cost: the closures.
 
 use rayon::prelude::*;
 use std::ops::Range;

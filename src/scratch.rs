@@ -1,8 +1,8 @@
 //! Scratch files: temporary storage for values that do not fit into the memory limit.
 //!
-//! In: values, and a folder with enough space. Out: any part of these values. Cost: that of the system's file cache,
-//! some GB/s while it has space. Where the system supports it, the file has no name, so the system deletes it when the
-//! process ends, even after a crash.
+//! In: values, and a folder with enough space. Out: any part of these values. Cost: the system's file cache, some GB/s
+//! while it has space. Where the system supports it, the file has no name, so the system deletes it when the process
+//! ends, even after a crash.
 
 use crate::error::{Error, Result};
 use bytemuck::Pod;

@@ -4,9 +4,9 @@
 //! processor (AVX-512 or AVX2 on x86-64, NEON on 64-bit ARM), or is scalar. Cost: a few nanoseconds per call, so a call
 //! should process at least a row.
 //!
-//! The arms, one for each instruction set, differ only in speed: Rust neither reorders sums of floats nor fuses
-//! multiplications with additions, so the results have the same bytes on every arm. With [`choose`], tests and benches
-//! compare the arms.
+//! There is one code path ([`Arm`]) for each instruction set. The code paths differ only in speed: Rust neither
+//! reorders sums of floats nor fuses multiplications with additions, so all give the same bytes. With [`choose`], tests
+//! and benches compare them.
 
 use pulp::{Arch, NullaryFnOnce};
 use std::f32::consts::{FRAC_PI_2, PI};
@@ -29,10 +29,11 @@ pub enum Arm {
 }
 
 impl Arm {
-    /// All arms, in the order of their discriminants; this processor may not support all of them (see [`choose`]).
+    /// All code paths, in the order of their discriminants; this processor may not support all of them (see
+    /// [`choose`]).
     pub const ALL: [Arm; 5] = [Arm::Native, Arm::Avx512, Arm::Avx2, Arm::Neon, Arm::Scalar];
 
-    /// Returns this arm as a value of the crate `pulp`, or `None` if this processor does not support it.
+    /// Returns this code path as a value of the crate `pulp`, or `None` if this processor does not support it.
     #[inline]
     fn arch(self) -> Option<Arch> {
         match self {
@@ -50,12 +51,12 @@ impl Arm {
     }
 }
 
-/// Index of the chosen arm in [`Arm::ALL`].
+/// Index of the selected code path in [`Arm::ALL`].
 static CHOSEN: AtomicU8 = AtomicU8::new(Arm::Native as u8);
 
 /// Selects `arm` for the whole process if this processor supports it; returns whether it does.
 ///
-/// The results do not depend on the arm. Only tests and benches need to choose one.
+/// The results do not depend on the code path. Only tests and benches need to select one.
 #[must_use = "if it returns false, the processor does not support this code path, and the selection is unchanged"]
 pub fn choose(arm: Arm) -> bool {
     let is_supported = arm.arch().is_some();
@@ -72,16 +73,17 @@ pub trait Loops {
 
     /// Runs the loops.
     ///
-    /// Mark it and all functions that it calls `#[inline(always)]`: only inlined code is compiled for the arm (long
-    /// closures are not inlined). Do not start parallel work inside.
+    /// Mark this function, and all functions that it calls, with `#[inline(always)]`: only inlined code is compiled
+    /// with the instructions of the selected code path (long closures are not inlined). Do not start parallel work
+    /// inside.
     fn run(self) -> Self::Output;
 }
 
-/// Runs `loops` on the chosen arm and returns their result.
+/// Runs `loops` on the selected code path and returns their result.
 #[inline]
 pub fn vectorised<L: Loops>(loops: L) -> L::Output {
     let chosen = Arm::ALL[usize::from(CHOSEN.load(Ordering::Relaxed))];
-    // The arm was supported when it was chosen.
+    // The code path was supported when it was selected.
     chosen.arch().unwrap_or_default().dispatch(Native(loops))
 }
 
@@ -97,7 +99,7 @@ impl<L: Loops> NullaryFnOnce for Native<L> {
     }
 }
 
-/// The limit from which on all floats are integers: 2^23 for `f32`, 2^52 for `f64`. If a smaller positive number is
+/// All floats at or above this limit are integers: 2^23 for `f32`, 2^52 for `f64`. If a smaller positive number is
 /// added to the limit, the sum is rounded to an integer, and the low bits of the sum are the number, rounded. This
 /// addition replaces Rust's saturating casts, for which there are no vector instructions.
 const WHOLE: (f32, f64) = (8_388_608.0, 4_503_599_627_370_496.0);

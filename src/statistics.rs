@@ -24,7 +24,7 @@ pub fn median<T: Copy + Into<f64>>(values: impl IntoIterator<Item = T>) -> Optio
 /// distribution.
 pub const MEDIAN_DEVIATION: f64 = 0.6745;
 
-/// Residual, in standard deviations, from which on Tukey's biweight is 0. With this value the biweight is 95 %
+/// Tukey's biweight is 0 for residuals of at least this many standard deviations. With this value the biweight is 95 %
 /// efficient on normal noise.
 pub const TUKEY: f64 = 4.685;
 

@@ -2,10 +2,10 @@
 //!
 //! In: the grey pyramids of the reference and a frame, and the transform that was found. Out: the bitmaps; the share of
 //! their pixels that differ, as a function of the rotation and the shift of the frame; the keypoints; the matches of
-//! each kind of keypoint, and which of the matches are inliers. Cost: that of the bitmap search and of the features,
-//! some tenths of a second per frame. The diagnostics do not influence [`align`](crate::align::align). Source: Ward
-//! 2003, section 2; Lowe 2004, section 7.1; the thesis whose tables 4.1 to 4.3 `inspect` repeats for any bracket: they
-//! compare keypoints of the grey picture, of the bitmap and of both.
+//! each kind of keypoint, and which of the matches are inliers. Cost: the bitmap search and the features, some tenths
+//! of a second per frame. The diagnostics do not influence [`align`](crate::align::align). Source: Ward 2003, section
+//! 2; Lowe 2004, section 7.1; the thesis whose tables 4.1 to 4.3 `inspect` repeats for any bracket: they compare
+//! keypoints of the grey picture, of the bitmap and of both.
 
 use crate::align::AlignOptions;
 use crate::align::bitmaps;
@@ -164,9 +164,10 @@ fn angles(found: f64, most: f64) -> Vec<f64> {
 pub enum FeatureKind {
     /// Keypoints of the grey picture.
     Plain,
-    /// Keypoints of the median threshold bitmaps of the picture.
+    /// Keypoints that are detected in the median threshold bitmaps instead of the grey picture.
     Mtb,
-    /// Keypoints of the grey picture and of its bitmaps; each kind is matched only with its own kind.
+    /// Both kinds of keypoints. Keypoints of the grey picture are matched only with each other, and so are those of the
+    /// bitmaps.
     Merged,
 }
 

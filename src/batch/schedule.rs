@@ -1,8 +1,8 @@
 //! Runs all jobs of a plan on one machine: as many at a time as cores and memory allow.
 //!
-//! In: jobs. Out: the outcome of each job. Cost: that of the jobs. A job starts after the jobs that it needs have
-//! ended. While there are enough jobs for all cores, each job runs on one core: in total, this takes less time than
-//! running one job on several cores. The last jobs share the remaining cores.
+//! In: jobs. Out: the outcome of each job. Cost: the jobs. A job starts after the jobs that it needs have ended. While
+//! there are enough jobs for all cores, each job runs on one core: in total, this takes less time than running one job
+//! on several cores. The last jobs share the remaining cores.
 //!
 //! A separate thread waits until files are on the disk and gives them their final names, so that computing threads do
 //! not wait for the disk. If a job fails, only the jobs that need it are not run. Results do not depend on which jobs

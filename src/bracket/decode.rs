@@ -1,8 +1,8 @@
 //! Decodes image files to pixel values with the orientation applied, and reads their metadata.
 //!
 //! In: a JPEG, PNG or TIFF, recognised by its content and not by its name. Out: interleaved RGB at the depth of the
-//! file, 8 or 16 bits; grey is repeated, alpha dropped, CMYK converted to RGB without its profile. Cost: that of the
-//! decoders, one copy for 16-bit samples, and another copy where the orientation is not 1.
+//! file, 8 or 16 bits; grey is repeated, alpha dropped, CMYK converted to RGB without its profile. Cost: the decoders,
+//! one copy for 16-bit samples, and another copy where the orientation is not 1.
 //!
 //! Damage is an error; missing image data is never replaced by a filler.
 

@@ -1,7 +1,7 @@
 //! Grey values for the alignment, row by row.
 //!
 //! In: a row of interleaved RGB pixel values, of 8 or 16 bits. Out: (54 R + 183 G + 19 B) / 256 (Ward 2003, section 2),
-//! as 8 bits. Cost: that of reading the pixel values.
+//! as 8 bits. Cost: reading the pixel values.
 
 use super::{Codes, Window};
 use crate::simd::{Loops, vectorised};
@@ -11,7 +11,8 @@ impl Window<'_> {
     /// [`grey_brightened`](super::Frame::grey_brightened) where `stops` is given.
     ///
     /// # Panics
-    /// If the window has no such row, or the length of `out` is not the width of the frame.
+    /// If this window (a range of rows of the frame) does not contain row `y`, or the length of `out` is not the width
+    /// of the frame.
     pub fn grey_row(&self, y: usize, stops: Option<u32>, out: &mut [u8]) {
         assert_eq!(out.len(), self.width(), "`out` must have one element for each pixel in a row of the frame");
         let first = 3 * self.width() * (y - self.rows().start);

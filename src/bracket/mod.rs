@@ -2,7 +2,7 @@
 //!
 //! In: paths. Out: a [`Bracket`] of [`Frame`]s by rising exposure. Frames keep the pixel values that the camera wrote
 //! (8 or 16 bit, camera-encoded, orientation applied), three integers per pixel, in memory or, where memory is limited,
-//! on disk. Cost: that of the decoders, which run in parallel, one frame per thread.
+//! on disk. Cost: the decoders, which run in parallel, one frame per thread.
 
 pub mod colour;
 mod decode;

@@ -1,7 +1,7 @@
 //! A single photograph outside a bracket, to be displayed or compared.
 //!
-//! In: a JPEG, PNG or TIFF, recognised by its content. Out: pixel values, colour profile and capture data. Cost: that
-//! of the decoder.
+//! In: a JPEG, PNG or TIFF, recognised by its content. Out: pixel values, colour profile and capture data. Cost: the
+//! decoder.
 
 use super::colour::Profile;
 use super::exposure::ExposureTags;

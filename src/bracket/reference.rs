@@ -43,8 +43,8 @@ pub(super) fn chosen(paths: &[&Path], choice: &ReferenceChoice) -> Result<Option
     }
 }
 
-/// Returns the index of `path` or of another path to the same file in `paths`, else of the only path with that file
-/// name.
+/// Returns the index in `paths` of `path`, or of another path to the same file. If there is none, and `path` is the
+/// file name of exactly one of the `paths`, returns the index of that one.
 pub(crate) fn named(paths: &[&Path], path: &Path) -> Option<usize> {
     let real = |p: &Path| std::fs::canonicalize(p).ok();
     let same_file = || real(path).and_then(|wanted| paths.iter().position(|p| real(p).as_deref() == Some(&wanted)));

@@ -1,7 +1,7 @@
 //! Blessing: replaces the expected file by the actual one.
 //!
 //! In: two paths. Out: a copy of the actual file, byte for byte, in place of the expected file, which need not exist.
-//! Cost: that of a copy and an fsync.
+//! Cost: a copy and an fsync.
 //!
 //! The copy is written beside its target and renamed, so that readers get either the old file or the complete new one.
 //! The copy gets the permissions of the replaced file, except those that the actual file does not have.

@@ -1,6 +1,6 @@
 //! The files to compare: radiance maps or display pictures, recognised by content.
 //!
-//! In: a file. Out: its pixels and metadata. Cost: that of the decoders.
+//! In: a file. Out: its pixels and metadata. Cost: the decoders.
 
 use super::{Changed, Side};
 use crate::bracket::colour::Primaries;

@@ -182,8 +182,8 @@ pub struct RadianceDifference {
     pub mean_stops: f64,
     /// Number of pixels that are NaN or infinite in only one of the files; they are excluded from the means.
     pub not_comparable_pixels: usize,
-    /// Luminance of radiance 1 in cd/m2, used for PU21: from the expected file if it is calibrated, otherwise such that
-    /// the 99.9th percentile of its luminance is 1000.
+    /// Luminance of radiance 1 in cd/m2, used for PU21. If the expected file is calibrated, it follows from that file.
+    /// Otherwise it is chosen so that the 99.9th percentile of the expected luminance is 1000.
     pub cd_m2_per_unit: f64,
 }
 

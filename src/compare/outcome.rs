@@ -186,7 +186,7 @@ fn pixels(count: usize) -> String {
     if count == 1 { "1 pixel".into() } else { format!("{count} pixels") }
 }
 
-/// Formats a share in percent such that only 0 is shown as 0 and only 100 as 100.
+/// Formats a share in percent so that only 0 is shown as 0 and only 100 as 100.
 fn percent(share: f64) -> String {
     match share {
         s if (99.5..100.0).contains(&s) => format!("{:.1} %", (10.0 * s).floor() / 10.0),

@@ -1,4 +1,4 @@
-//! PU21: encodes luminance such that just noticeable differences have equal size; and the PSNR of encoded values.
+//! PU21: encodes luminance so that just noticeable differences have equal size; and the PSNR of encoded values.
 //!
 //! In: two pictures in linear light and their scale in cd/m2. Out: dB. Cost: a table of 5363 entries, 20 ns per pixel.
 //! Source: Mantiuk & Azimi 2021, "PU21: A novel perceptually uniform encoding for adapting existing quality metrics for
@@ -73,7 +73,7 @@ fn code(luminance: f64) -> f64 {
     P[6] * (libm::pow((P[0] + P[1] * power) / (1.0 + P[2] * power), P[4]) - P[5])
 }
 
-/// The encoded values of those luminances that, as `f64`, have [`BELOW`] low bits of 0.
+/// A table of encoded values, for all luminances whose `f64` has 0 in the [`BELOW`] lowest bits.
 struct Table(Vec<f64>);
 
 impl Table {

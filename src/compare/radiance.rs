@@ -20,9 +20,10 @@ use crate::plane::Plane;
 use crate::statistics::of_rank;
 use crate::write::Metadata;
 
-/// Share of the positive values that are below the floor f, under which differences are relative to f.
+/// Fraction of the positive values that are below the floor f. Differences between values below f are divided by f.
 const DARK: f64 = 0.001;
-/// Share of the pixels below the luminance that counts as [`BRIGHT_CD_M2`] if the map is not calibrated.
+/// If the map is not calibrated, the luminance that is higher than in this fraction of the pixels counts as
+/// [`BRIGHT_CD_M2`].
 const BRIGHT: f64 = 0.999;
 /// Assumed luminance at the percentile [`BRIGHT`] of a map that is not calibrated, in cd/m2.
 const BRIGHT_CD_M2: f64 = 1000.0;
@@ -216,7 +217,7 @@ mod tests {
             let found = measure(&flat(1.0), &flat(other), &Metadata::default()).radiance.unwrap();
             assert!(found.channels.iter().all(|c| c.max_stops > 0.5), "{other}: {found:?}");
         }
-        // No value of the expected map is positive, so the floor is that of the actual map.
+        // No value of the expected map is positive, so the floor is computed from the actual map.
         let found = measure(&flat(0.0), &flat(3.0), &Metadata::default()).radiance.unwrap();
         assert!((found.channels[0].max_stops - 1.0).abs() < 1e-6, "{found:?}");
     }

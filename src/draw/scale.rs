@@ -2,8 +2,9 @@
 //!
 //! In: rows of a picture of any number of channels, from first to last, in parts of any size. Out: the same picture
 //! with fewer pixels. Cost: some ns per pixel, and one byte of memory for each output value. In the mean of a cell,
-//! every pixel is weighted by the part of the pixel that is inside the cell. So fine patterns stay even for any
-//! reduction factor. Code values are averaged directly (not the light), which is accurate enough for viewing.
+//! every pixel is weighted by the part of the pixel that is inside the cell. So fine patterns become a uniform area,
+//! without moiré, for any reduction factor. Code values are averaged directly (not the light), which is accurate enough
+//! for viewing.
 
 use crate::plane::Plane;
 use std::ops::Range;

@@ -120,7 +120,7 @@ mod tests {
         let (two, _) = outlines("II", 2048.0);
         assert!(one.starts_with('M') && one.ends_with('Z') && two.starts_with(&one) && two[one.len()..].ends_with("Z"));
         assert_eq!(unit, 1.0);
-        // A space has no outline; a letter that is not in the font has that of a box.
+        // A space has no outline; a letter that is not in the font is drawn as a box.
         assert_eq!(outlines(" ", 10.0).0, "");
         assert!(outlines("窓", 10.0).0.contains('Z'));
     }

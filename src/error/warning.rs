@@ -172,7 +172,7 @@ pub enum Warning {
         /// The frames.
         paths: Vec<PathBuf>,
     },
-    /// The response file was made for another camera than that of the photographs, or does not fit them.
+    /// The response file was made for a camera that did not take the photographs, or does not fit the photographs.
     #[error("{}: {detail}", path.display())]
     ResponseDoubtful {
         /// The response file.
@@ -190,7 +190,7 @@ pub enum Warning {
         /// The camera of the first bracket.
         kept: String,
     },
-    /// A bracket could not be used to recover the response of several brackets.
+    /// One response is recovered from several brackets, and one of these brackets could not be used.
     #[error("{}: its bracket is not used for the response: {reason}", path.display())]
     BracketLeftOut {
         /// The first photograph of the bracket.
@@ -198,7 +198,7 @@ pub enum Warning {
         /// Text of the error of this bracket.
         reason: String,
     },
-    /// The colour profile of a frame differs from that of the reference, which is kept.
+    /// The colour profile of a frame differs from the profile of the reference. The profile of the reference is used.
     #[error("{}: its colour profile ({found}) differs from that of the reference ({kept}) and is ignored; convert all frames to the same profile", path.display())]
     ProfilesDiffer {
         /// The frame.

@@ -1,7 +1,7 @@
 //! Writes the sheets (drawings) and tables of an inspection into a folder. Either all files are written or none.
 //!
 //! In: an [`Inspection`] and a folder. Out: files named after the photographs, such as `NAME.keypoints.svg`, and
-//! `tables.txt` and `tables.json`. Cost: that of drawing. The sheets of one frame are in memory at a time.
+//! `tables.txt` and `tables.json`. Cost: drawing. The sheets of one frame are in memory at a time.
 
 use super::tables::Tables;
 use super::{Inspection, Sheet, SheetKind};

@@ -2,10 +2,10 @@
 //!
 //! In: a [`Bracket`], its [`Alignment`], and the options used for it. Out: an [`Inspection`]. It contains `Tables` of
 //! exposures, alignment, bitmaps, keypoints and matches. On request, it draws [`Sheet`]s for each frame: bitmaps,
-//! keypoints, matches, XOR curves and edges. Cost: bitmaps, SIFT and SURF features of all frames are computed, even
-//! if the alignment did not need them. This takes some tenths of a second for each frame and detector; drawing takes
-//! as long again. Source: the tables and figures in chapter 4 of the thesis on which hdralign is based; here they can
-//! be made for any bracket.
+//! keypoints, matches, XOR curves and edges. Cost: bitmaps, SIFT and SURF features of all frames are computed, even if
+//! the alignment did not need them. This takes some tenths of a second for each frame and detector; drawing takes as
+//! long again. Source: the tables and figures in chapter 4 of the thesis that hdralign is based on; here they can be
+//! made for any bracket.
 
 pub(crate) mod files;
 pub(crate) mod sheets;

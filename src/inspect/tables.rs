@@ -89,12 +89,12 @@ pub struct XorTable {
     pub before_share: f64,
     /// Fraction of the pixels that differ after alignment.
     pub after_share: f64,
-    /// Fraction as a function of the rotation in degrees. The shift is that of the found motion.
+    /// Fraction as a function of the rotation in degrees. The shift is the shift of the found motion.
     pub by_angle_deg: Samples,
-    /// Fraction as a function of the shift to the right in pixels. Rotation and downward shift are those of the found
+    /// Fraction as a function of the shift to the right in pixels. Rotation and downward shift are as in the found
     /// motion.
     pub by_dx_px: Samples,
-    /// Fraction as a function of the downward shift in pixels. Rotation and shift to the right are those of the found
+    /// Fraction as a function of the downward shift in pixels. Rotation and shift to the right are as in the found
     /// motion.
     pub by_dy_px: Samples,
 }

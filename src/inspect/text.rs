@@ -1,8 +1,8 @@
 //! Formats the tables as text in columns.
 //!
 //! In: [`Tables`]. Out: the content of `tables.txt`. Cost: none. Tables 2 to 6 contain keypoints, matches and the
-//! resulting motion, each for the photograph, for its bitmaps, and for both together. Source: tables 4.1 to 4.3 of
-//! the thesis on which hdralign is based; here for any bracket and for two detectors.
+//! resulting motion, each for the photograph, for its bitmaps, and for both together. Source: tables 4.1 to 4.3 of the
+//! thesis that hdralign is based on; here for any bracket and for two detectors.
 
 use super::tables::{FeatureTable, FrameTable, KindTable, MotionComparison, Tables};
 use crate::align::grey::Percentile;

@@ -3,9 +3,9 @@
 //! In: the mean of the frames with known transforms, and a row of all frames. Out: the radiance of the row. Cost: none
 //! if no transform is assumed, else the cost of the mean again.
 //!
-//! P is the mean of the frames with known transforms. A is the mean of frames with assumed transforms: for clipped
-//! pixels, of those shorter than the reference; for black pixels, of those longer. The radiance E of clipped and of
-//! black pixels is
+//! P is the mean of the frames with known transforms. A is the mean of frames with assumed transforms. For clipped
+//! pixels, A is the mean of those that are shorter than the reference; for black pixels, the mean of those that are
+//! longer. The radiance E of a clipped or black pixel is
 //!
 //! ```text
 //! clipped: E = (1 - a) P + a max(A, L)        black: E = (1 - b) P + b min(A, U)
@@ -14,9 +14,9 @@
 //! - a rises from 0 to 1 over the code values at which the shortest known frame begins to clip. b rises from 0 to 1
 //!   over the code values at which the longest known frame falls to black. So an assumed frame, which may be displaced,
 //!   is used only where no known frame shows the scene.
-//! - L is the smallest radiance that agrees with the code value of the shortest known frame, U the largest that agrees
-//!   with that of the longest known frame. At the edge of a lamp, where a displaced frame may show the dark wall, E is
-//!   never below L.
+//! - L is the smallest radiance that agrees with the code value of the shortest known frame. U is the largest radiance
+//!   that agrees with the code value of the longest known frame. At the edge of a lamp, where a displaced frame may
+//!   show the dark wall, E is never below L.
 
 use super::layer::{CLIPS, COLUMNS, Fill, LIFT, Layer, Meaning, PAINTED, Taken, Tile};
 use super::mean::{Channels, Means};
@@ -25,7 +25,7 @@ use crate::simd::{Loops, at_least, at_most};
 /// Buffers that are reused from row to row.
 pub(super) struct Filling {
     means: Means,
-    /// A: the mean of the frames that fill.
+    /// A of the [module](self): the mean of the frames with assumed transforms.
     filled: Channels,
     /// The bound L or U (see the [module](self)) of each pixel.
     bound: Channels,
@@ -67,7 +67,7 @@ impl Loops for FilledRow<'_, '_> {
     fn run(self) {
         let FilledRow { layers, tiles, taken, y, fill, filling, known, radiance } = self;
         let Filling { means, filled, bound, part, meanings } = filling;
-        // The fraction a or b of each pixel. a is from the shortest known frame that is used at the pixel, b from the
+        // The fraction a or b of each pixel. a depends on the shortest known frame that is used at the pixel, b on the
         // longest.
         let mut end = [0.0f32; COLUMNS];
         let mut is_seen = [0u32; COLUMNS];
@@ -176,9 +176,9 @@ mod tests {
         let unit = f64::from(curve.exposure(0, 255.0));
         for x in 0..SIZE.0 {
             let truth = ramp(x)[1] * unit;
-            // The assumed frames 0 and 4 are not used while frame 1 (exposure 1/16) is below code value 230, where a
-            // begins to rise, and frame 3 (exposure 16) is above 25, where b begins to rise. The limits 228 and 27
-            // leave a margin for rounding.
+            // The assumed frame 0 is not used where frame 1 (exposure 1/16) is below code value 230, because a is 0
+            // there. The assumed frame 4 is not used where frame 3 (exposure 16) is above code value 25, because b is 0
+            // there. The limits 228 and 27 leave a margin for rounding.
             let is_held = ramp(x)[1] < 16.0 * f64::from(curve.exposure(0, 228.0)) / unit
                 && ramp(x)[1] * 16.0 > f64::from(curve.exposure(0, 27.0)) / unit;
             if is_held {

@@ -27,23 +27,25 @@ const LINES: usize = ROWS + 2;
 /// Number of code values by which noise and JPEG may brighten a pixel. The lower bound of a pixel's radiance is the
 /// radiance of its code value minus this number.
 pub(super) const LIFT: usize = 6;
-/// Code values between which a frame begins to clip: it is clipped if a shorter frame shows more radiance than the
-/// second code value stands for, and not clipped if less than the first.
+/// Two code values between which a frame begins to clip. If a shorter frame shows more radiance than the second code
+/// value stands for, the frame is clipped. If a shorter frame shows less than the first code value stands for, the
+/// frame is not clipped.
 pub(super) const CLIPS: (usize, usize) = (230, 250);
-/// Two parameters of the factor v of the [equation](super). First, the number of code values below white over which v
-/// falls from 1 as the brightest channel rises. Second, v at white. It is not 0, so that a frame with one clipped
-/// channel still contributes to the other channels if every frame without clipping is darker by some stops.
+/// Two parameters of the factor v of the [equation](super). First, the width of the range of code values below white in
+/// which v falls as the brightest channel rises; v is 1 below this range. Second, the value of v at white. It is not 0,
+/// so that a frame with one clipped channel still contributes to the other channels if every frame without clipping is
+/// darker by some stops.
 const GUARD: (f32, f32) = (16.0, 0.25);
 
-/// Code value from which on a pixel counts as clipped.
+/// Pixels with a channel of at least this code value count as clipped.
 const TOP: f32 = 253.0;
 /// Factor on the weight of a clipped pixel and its eight neighbours, because JPEG ringing, sharpening and resampling
 /// change the neighbours. On rendered brackets, 0.5 instead of 1 gains 0.1 to 0.6 dB if frames moved, and loses 0.05 dB
 /// if none did.
 const RINGING: f32 = 0.5;
 
-/// Largest radiance, as a multiple of the radiance of the reference frame's middle code value: about 2^80. The smallest
-/// radiance is the inverse. Real exposures and responses are well within this limit, which keeps sums finite.
+/// Largest radiance, about 2^80. The radiance of the reference frame's middle code value is 1. The smallest radiance is
+/// 1 divided by this limit. Real exposures and responses are well within this limit, which keeps sums finite.
 const MOST_RADIANCE: f64 = 1e24;
 /// Largest weight, as a multiple of the weight of the middle code value in the longest exposure: about 2^37. Real
 /// exposures and responses are well within this limit, which keeps sums finite.
@@ -120,8 +122,8 @@ impl Tile {
         }
     }
 
-    /// Reads from `window` of `layer` the pixels at `columns` and `rows` of the reference frame, which are at most one
-    /// tile.
+    /// Reads the pixels of `layer` that correspond to `columns` and `rows` of the reference frame, at most one tile.
+    /// `window` contains the rows of the frame that are needed.
     pub fn read(&mut self, layer: &Layer, window: &Window, columns: Range<usize>, rows: Range<usize>) {
         let (c, r) = (wide(&columns, window.width()), wide(&rows, window.height()));
         let size = (c.len(), r.len());
@@ -143,7 +145,7 @@ impl Tile {
 
 /// Splits the channels of a tile and marks clipped pixels.
 struct Apart<'a> {
-    /// Number of columns and of rows of `codes`.
+    /// Numbers of columns and rows of `codes`.
     size: (usize, usize),
     /// Column and row in `planes` of the first pixel of `codes`.
     at: (usize, usize),
@@ -233,8 +235,8 @@ pub(super) struct Layer<'a> {
     pub black: f32,
     /// Whether each channel of a pixel gets the smallest weight of the three channels.
     pub is_joint: bool,
-    /// For each channel, the radiance from which on the frame is clipped, and the inverse of the width of the range of
-    /// radiance just below, in which the frame begins to clip. Both are from [`CLIPS`].
+    /// For each channel, two numbers from [`CLIPS`]. First, the radiance at and above which the frame is clipped.
+    /// Second, 1 divided by the width of the range below it in which the frame begins to clip.
     pub clips: [(f32, f32); 3],
     /// The factor v of the [equation](super) for pixels whose brightest channel is at white.
     pub guard: f32,
@@ -242,7 +244,7 @@ pub(super) struct Layer<'a> {
     pub ringing: f32,
 }
 
-/// Returns `range`, extended by one on either side within 0..`most`.
+/// Returns `range`, extended by one at both ends, but not beyond 0..`most`.
 fn wide(range: &Range<usize>, most: usize) -> Range<usize> {
     range.start.saturating_sub(1)..(range.end + 1).min(most)
 }
@@ -257,9 +259,9 @@ impl Layer<'_> {
         self.frame.window(rows_under(&self.warp, size, &wide(columns, size.0), &wide(rows, size.1)))
     }
 
-    /// Changes the weights for a locally processed bracket: every frame has the same weights, because a phone amplifies
-    /// the noise of what it brightens, and all channels of a pixel have the same weight, because the phone changed them
-    /// together.
+    /// Changes the weights for a locally processed bracket. Every frame gets the same weights, because a phone
+    /// amplifies the noise of what it brightens. And all channels of a pixel get the same weight, because the phone
+    /// changed them together.
     ///
     /// On 7 rendered brackets of phones, equal weights of the frames gain 0.7 dB (PU21-PSNR of details), and equal
     /// weights of the channels up to 2.6 dB.

@@ -8,13 +8,13 @@ use super::FLOOR;
 use super::layer::{CLIPPED, COLUMNS, Fill, Layer, Meaning, PAINTED, Row, Taken, Tile};
 use crate::simd::{at_least, at_most};
 
-/// Upper limit of e, the extra weight that the shortest and the longest exposure get, as a fraction of the weight of
-/// the frame's middle code value. It equals the hat weight of code value 1. If the limit were smaller, a shorter frame
-/// in which noise lifts a black pixel by one code value would outweigh the longest exposure. If it were larger, clipped
-/// code values would contribute too much.
+/// Upper limit of e, the extra weight of the shortest and of the longest exposure. The unit is the weight of the
+/// frame's middle code value. The limit equals the hat weight of code value 1. If the limit were smaller, a shorter
+/// frame in which noise lifts a black pixel by one code value would outweigh the longest exposure. If it were larger,
+/// clipped code values would contribute too much.
 const DECIDE: f32 = 1.0 / 127.5;
-/// Smallest e, as a fraction of the weight of the frame's middle code value. It keeps the sum of weights above zero
-/// where the shortest exposure is black and the longest clipped.
+/// Smallest e, in units of the weight of the frame's middle code value. It keeps the sum of weights above zero where
+/// the shortest exposure is black and the longest is clipped.
 const LEAST: f32 = 1e-6;
 
 /// Two code values of a frame's brightest channel. Up to the first, the frame is never treated as clipped. From the
@@ -32,7 +32,8 @@ pub(super) struct Means {
     pub(super) weight: Channels,
     /// Lower bound of the radiance, from shorter exposures.
     bound: Channels,
-    /// The product e X / dt of the longest exposure so far; `longest_weight` is its e.
+    /// e X / dt of the [equation](super), for the longest exposure added so far; `longest_weight` is the e of this
+    /// exposure.
     longest_sum: Channels,
     pub(super) longest_weight: Channels,
     /// 1 where a frame was used.
@@ -49,8 +50,8 @@ struct View {
     meanings: [[Meaning; COLUMNS]; 3],
     /// Factor of the motion mask on the frame's weight, 0..=1; 0 where the frame is not used.
     share: [f32; COLUMNS],
-    /// Product of `share`, of [`Layer::ringing`] at and beside clipped pixels, and of the factor v of the
-    /// [equation](super).
+    /// Product of three factors: `share`, the factor v of the [equation](super), and [`Layer::ringing`] for clipped
+    /// pixels and their neighbours (1 for other pixels).
     v: [f32; COLUMNS],
     /// Lower bound of the factor u of the [equation](super), from the brightest channel.
     below_top: [f32; COLUMNS],
@@ -106,8 +107,8 @@ impl Means {
         (self.is_seen, self.is_clipped, self.is_black) = ([0; COLUMNS], [0; COLUMNS], [0; COLUMNS]);
     }
 
-    /// Computes the means of row `y` over the frames that fill `fill`, or, if it is `None`, over those with a known
-    /// transform.
+    /// Computes the means of row `y`. With `fill`, the mean is over the frames with an assumed transform that fill this
+    /// kind of pixels; with `None`, over the frames with a known transform.
     #[inline(always)]
     pub fn add_all(&mut self, fill: Option<Fill>, (layers, tiles, taken): (&[Layer], &[Tile], &[Taken]), y: usize) {
         self.clear();
@@ -211,8 +212,9 @@ impl Means {
         self.frame.is_used[x] != 0
     }
 
-    /// Marks pixel `x` as not clipped (or, if `fill` is [`Fill::Black`], not black) if the frames that filled it show
-    /// it unclipped (or not black). `other` contains the means of these frames.
+    /// Updates whether pixel `x` counts as clipped (as black, if `fill` is [`Fill::Black`]), after frames with assumed
+    /// transforms have filled it. It no longer does if these frames, whose means are `other`, show it unclipped (not
+    /// black).
     pub fn fill(&mut self, x: usize, fill: Fill, other: &Means) {
         match fill {
             Fill::Clipped => self.is_clipped[x] &= other.is_clipped[x],
@@ -317,7 +319,8 @@ mod tests {
             let pixel = merged(&bracket, &alignment, weight)[31];
             assert!((pixel[1] / truth - 1.0).abs() < 1e-3, "{weight:?} {pixel:?} for {truth}");
         }
-        // `Weight::Uniform` has no u: its plain mean is far too dark.
+        // With `Weight::Uniform`, u is 1 for every frame: the clipped frame is averaged in too, and the mean is far too
+        // dark.
         assert!(merged(&bracket, &alignment, Weight::Uniform)[31][1] < 0.8 * truth);
     }
 
@@ -327,9 +330,9 @@ mod tests {
             let (bracket, alignment) = bracket(&[(-2.0, &|_, _| [glint; 3]), (0.0, &|_, _| [120; 3])]);
             merged(&bracket, &alignment, Weight::Hat)[31][1]
         };
-        // The longer frame is not excluded, so only the weights of the two frames matter. The weight of the longer
-        // frame's middle code value is twice that of the shorter frame's, and its code value 120 is closer to the
-        // middle than 200.
+        // The longer frame does not count as clipped, so only the weights matter. The longer frame has more weight for
+        // two reasons: its middle code value has twice the weight of the shorter frame's middle code value, and its
+        // code value 120 is closer to the middle than the shorter frame's 200.
         let x = |code: usize| ResponseCurve::srgb().exposures(1)[code];
         assert!(of(200) < 0.35 * 4.0 * x(200) && of(200) > x(120), "{}", of(200) / x(200));
     }
@@ -345,8 +348,8 @@ mod tests {
         let (with, without) = (of(&[(-2.0, &paint), bare]), of(&[(-2.0, &|_, _| [40; 3]), bare]));
         let x = |code: usize| ResponseCurve::srgb().exposures(2)[code];
         for row in 0..SIZE.1 {
-            // In the painted columns 0 to 3 and in column 4 beside them, only the reference is used. The other columns
-            // have the same radiance as without paint.
+            // Columns 0 to 3 are painted. In these columns and in the neighbouring column 4, only the reference is
+            // used. The other columns have the same radiance as without paint.
             for column in 0..=4 {
                 let found = with[row * SIZE.0 + column][2];
                 assert!((found / x(100) - 1.0).abs() < 1e-3, "{row} {column}: {found} for {}", x(100));

@@ -1,5 +1,5 @@
-//! Merges a bracket slab by slab, each slab tile by tile, and each tile row by row. All frames contribute to a row
-//! before the next row is merged.
+//! Merges a bracket slab by slab, each slab tile by tile, and each tile row by row. A row is merged from all frames
+//! before the next row begins.
 //!
 //! In: a bracket, its alignment, the response, and the motion masks. Out: [`Slab`]s of radiance, which together are the
 //! [`RadianceMap`]. Cost and equation are at the head of [`merge`](super).
@@ -109,8 +109,9 @@ impl<'a> Merging<'a> {
         [Fill::Clipped, Fill::Black].into_iter().filter(is_asked).collect()
     }
 
-    /// Returns the factor, 0..=1, of the motion mask on the weight of each pixel of layer `i` in `rows` of the region;
-    /// empty if all factors are 1. The motion mask is not applied to a frame with an assumed transform.
+    /// Returns the factors, 0..=1, by which the motion mask multiplies the weights of layer `i`, one for each pixel in
+    /// `rows` of the region; empty if all factors are 1. The motion mask is not applied to a frame with an assumed
+    /// transform.
     pub(super) fn kept(&self, i: usize, rows: Range<usize>) -> Vec<f32> {
         let ghosts = self.ghosts.filter(|_| self.layers[i].fill.is_none());
         ghosts.map_or_else(Vec::new, |ghosts| ghosts.kept(i, rows))
@@ -122,9 +123,9 @@ impl<'a> Merging<'a> {
         self.local.map_or_else(Vec::new, |local| local.base(i, rows))
     }
 
-    /// Writes to `gain` the factors on the radiance of each layer at the columns `columns` of the region. `tiles`
-    /// contain only these columns; the rows of `bases` and `gain` contain all columns. Does nothing without a local
-    /// gain, where the factors are 1.
+    /// Writes to `gain` the factors by which the radiance of each layer is multiplied, at the columns `columns` of the
+    /// region. `tiles` contain only these columns; the rows of `bases` and `gain` contain all columns. Does nothing
+    /// without a local gain, where the factors are 1.
     pub(super) fn multiply(
         &self,
         tiles: &[Tile],

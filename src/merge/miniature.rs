@@ -78,8 +78,8 @@ impl Miniature {
     }
 }
 
-/// Returns the root mean square difference, in stops, between the radiance merged with the response `read` and that
-/// merged with `curve`, over all pixels of `miniatures`.
+/// Merges `miniatures` twice, with the response `read` and with `curve`. Returns the root mean square difference of the
+/// radiances over all pixels, in stops.
 ///
 /// # Errors
 /// Those of [`merge`].

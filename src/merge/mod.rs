@@ -6,8 +6,8 @@
 //! 2.2.
 //!
 //! The radiance E of a pixel is the weighted mean over the frames j, for each channel. Z_j is the code value of frame
-//! j, g(Z) the logarithm of the exposure that gives code value Z, and dt_j the exposure of frame j divided by that of
-//! the reference frame:
+//! j, g(Z) the logarithm of the exposure that gives code value Z, and dt_j the exposure of frame j divided by the
+//! exposure of the reference frame:
 //!
 //! ```text
 //! E = sum_j w_j X_j / dt_j  /  sum_j w_j,        X = exp(g(Z)),
@@ -111,7 +111,8 @@ pub struct Merged {
 
 impl Merged {
     /// Returns the report; `radiance` and `limits` are in their final unit and colours. `unit_exposure` is the exposure
-    /// at which a relative radiance of 1 gives the middle code value; if `None`, it is that of the reference frame.
+    /// at which a relative radiance of 1 gives the middle code value; `None` stands for the exposure of the reference
+    /// frame.
     pub fn report(self, radiance: Statistics, limits: Option<Limits>, unit_exposure: Option<f64>) -> MergeReport {
         let Merged { frames, all_clipped, all_black, reference_exposure } = self;
         let is_relative = radiance.unit == Unit::Relative;

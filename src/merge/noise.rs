@@ -2,14 +2,14 @@
 //!
 //! In: a frame. Out: the standard deviation for each channel and step of brightness, and from it the variance of the
 //! exposure of a code value. Cost: at most 16,384 blocks of 8x8 pixels are read, whatever the size: about 5 ms per
-//! frame. Source: Liu, Freeman, Szeliski & Kang 2006, "Noise Estimation from a Single Image", where noise as a function
-//! of brightness is the lower envelope over the flat parts of one picture. The mixed difference that cancels slopes is
-//! Immerkaer's (1996).
+//! frame. Source: Liu, Freeman, Szeliski & Kang 2006, "Noise Estimation from a Single Image", which measures noise as a
+//! function of brightness by the lower envelope of the variances of flat parts of one picture. The mixed difference
+//! that cancels slopes is Immerkaer's (1996).
 //!
-//! Each block gives its mean, and the mean square of z(x, y) - z(x+1, y) - z(x, y+1) + z(x+1, y+1), a quarter of which
-//! is the variance of white noise on any slope. Texture increases the mean square, so the lower quartile over the
-//! blocks of a step of brightness is used. Noise that the camera or JPEG has smoothed is underestimated; [`LEAST`] is
-//! the minimum.
+//! For each block, two numbers are computed: its mean, and the mean square of z(x, y) - z(x+1, y) - z(x, y+1) + z(x+1,
+//! y+1). A quarter of this mean square is the variance of white noise, even on a slope. Texture increases the mean
+//! square, so the lower quartile over the blocks of a step of brightness is used. Noise that the camera or JPEG has
+//! smoothed is underestimated; [`LEAST`] is the minimum.
 
 use crate::bracket::{Codes, Frame};
 use crate::error::Result;
@@ -22,15 +22,16 @@ const BLOCK: usize = 8;
 const READ: usize = 16_384;
 /// Number of steps of brightness that the code values are divided into.
 const STEPS: usize = 16;
-/// Smallest number of blocks from which the noise of a step is estimated.
+/// Smallest number of blocks for an estimate of the noise of a brightness step. In steps with fewer blocks, the noise
+/// is interpolated.
 const FEWEST: usize = 12;
-/// Rank, as a fraction, of the block that gives the noise, among the blocks of a step sorted by variance.
+/// Quantile of the variances of the blocks of a step that is used as the variance of the noise.
 const QUANTILE: f64 = 0.25;
-/// Smallest standard deviation of a code value: 0.29 from rounding, and most of the rest from the rounding of JPEG
-/// coefficients.
+/// Smallest standard deviation of a code value. Rounding to integers alone gives 0.29; most of the rest is from the
+/// rounding of JPEG coefficients.
 const LEAST: f64 = 1.0;
-/// Relative error of response and exposure: the first for a frame that did not move, the second for one that was
-/// interpolated.
+/// Relative error of response and exposure: the first number is for a frame that is not displaced, the second for a
+/// frame that is displaced and interpolated.
 const ERROR: (f64, f64) = (0.02, 0.05);
 
 /// The noise of one frame.

@@ -1,13 +1,13 @@
 //! Rows of a tile: merges all frames to radiance, or computes their weights for the report.
 //!
 //! In: the row of each frame, by rising exposure, with weights and factors. Out: the radiance of the row, or the weight
-//! of each frame. Cost: that of the [mean](super::mean).
+//! of each frame. Cost: the [mean](super::mean).
 
 use super::layer::{COLUMNS, Fill, Layer, Taken, Tile};
 use super::mean::Means;
 use crate::simd::Loops;
 
-/// Merges row `y` of a tile to `line`, over the frames with known transforms.
+/// Merges row `y` of the frames with known transforms, within one tile, and writes the radiance to `line`.
 pub(super) struct MergedRow<'a, 'b> {
     pub layers: &'a [Layer<'b>],
     pub tiles: &'a [Tile],
@@ -34,15 +34,16 @@ impl Loops for MergedRow<'_, '_> {
 
 /// Computes the weight of each frame in the first row of a tile, for the report.
 pub(super) struct WeighedRow<'a, 'b> {
-    /// The kind of frames whose weights are computed: those that fill these pixels, or, if `None`, those with known
-    /// transforms.
+    /// The kind of frames whose weights are computed: frames with an assumed transform that fill pixels of this kind,
+    /// or, if `None`, frames with known transforms.
     pub fill: Option<Fill>,
     pub layers: &'a [Layer<'b>],
     pub tiles: &'a [Tile],
     /// For each frame, the motion-mask factor on the weight and the gain on the radiance of each pixel.
     pub taken: &'a [Taken<'a>],
     pub means: &'a mut Means,
-    /// For each frame and pixel, the sum of the weights of the channels, including the extra weight e.
+    /// For each frame and pixel, the sum of the weights of the three channels. It includes the extra weight e of the
+    /// [equation](super).
     pub weights: &'a mut [[f32; COLUMNS]],
 }
 
@@ -52,8 +53,8 @@ impl Loops for WeighedRow<'_, '_> {
     #[inline(always)]
     fn run(self) {
         self.means.clear();
-        // At each pixel, the last frame that is used determines the radiance if all frames are black. `last` is the
-        // index of that frame, `decides` its extra weight e.
+        // If all frames are black at a pixel, the longest frame that is used there determines the radiance. `last` is
+        // the index of that frame, `decides` its extra weight e.
         let (mut last, mut decides) = ([None; COLUMNS], [0.0; COLUMNS]);
         for (i, ((layer, tile), taken)) in self.layers.iter().zip(self.tiles).zip(self.taken).enumerate() {
             let Some(row) = tile.row(0).filter(|_| layer.fill == self.fill) else { continue };

@@ -1,8 +1,8 @@
 //! Contribution of each frame to the result, pixel by pixel.
 //!
-//! In: a [`Merging`]. Out: for each merged frame its share of the sum of all weights, on a grid of cells. Cost: that of
-//! merging one row of each cell. The weights are those of the merge itself: a frame's weight is the increase of the sum
-//! of weights as the frame is added.
+//! In: a [`Merging`]. Out: for each merged frame its weight divided by the sum of the weights of all frames, on a grid
+//! of cells. Cost: the same as for merging one row of each cell. The weights are those of the merge itself: a frame's
+//! weight is the increase of the sum of weights as the frame is added.
 
 use super::fill::{FilledRow, Filling};
 use super::layer::{COLUMNS, Taken, Tile};
@@ -14,7 +14,7 @@ use crate::plane::Plane;
 use crate::simd::vectorised;
 use rayon::prelude::*;
 
-/// The share of one frame.
+/// The weight of one frame, divided by the sum of the weights of all frames.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Share {
     /// Index of the frame in the bracket.
@@ -55,7 +55,7 @@ impl Merging<'_> {
         Ok((0..self.layers.len()).map(|layer| Share { frame: self.frames[layer], cells: plane(layer) }).collect())
     }
 
-    /// Returns the shares in row `y` of the result: for each frame the mean over each of `across` cells.
+    /// Returns the shares in row `y` of the result: for each frame, the means within `across` cells.
     fn share_row(&self, y: usize, across: usize) -> Result<Vec<Vec<f32>>> {
         let Rect { x0, y0, .. } = self.region;
         let width = self.region.width();
@@ -127,7 +127,8 @@ mod tests {
 
     #[test]
     fn shares_are_those_with_which_the_frames_make_the_radiance() {
-        // Ten stops from left to right: the longest frame shows the dark end, the shortest the bright one.
+        // The scene rises by ten stops from left to right: the longest frame shows the dark end, the shortest the
+        // bright end.
         let scene = |x: usize, _: usize| [libm::exp2(x as f64 / 20.0 - 9.0); 3];
         let (bracket, alignment) = still((200, 40), &[0.125, 1.0, 8.0], scene);
         let curve = ResponseCurve::srgb();
@@ -156,7 +157,7 @@ mod tests {
         assert!((shares.iter().map(Share::mean).sum::<f64>() - 1.0).abs() < 1e-4);
     }
 
-    /// Returns the relative exposure of the reference frame, which radiance refers to.
+    /// Returns the relative exposure of the reference frame, at which radiance 1 gives the middle code value.
     fn bracket_unit(bracket: &crate::bracket::Bracket) -> f32 {
         bracket.reference().exposure.relative() as f32
     }

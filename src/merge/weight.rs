@@ -5,7 +5,7 @@
 //!
 //! - The hat is Debevec & Malik 1997, equation 4.
 //! - The Gaussian is Robertson, Borman & Stevenson 2003, section III, shifted and scaled so that it is 0 at both ends.
-//! - The plateau is that of hdrgen by Ward, 1 minus the 12th power of 2 z / 255 - 1 for code value z.
+//! - The plateau is from hdrgen by Ward: 1 - (2 z / 255 - 1)^12 for code value z.
 //! - The certainty ([`Weight::MannPicard`]) is section 3 of Mann & Picard 1995, "On being undigital with digital
 //!   cameras".
 //! - Inverse variances as weights ([`Weight::Noise`]) are Gauss' least squares, for cameras as in Granados et al. 2010,
@@ -14,10 +14,11 @@
 use super::noise::Noise;
 use crate::response::{CODES, MID, ResponseCurve, hat};
 
-/// Two numbers of code values: [`Weight::Noise`] rises from 0 over the first number above black, and falls to 0 over
-/// the second number below white. In both ranges clipping changes the code values, and the variance does not show that.
+/// Widths of two ranges of code values, one above black and one below white. [`Weight::Noise`] rises from 0 in the
+/// first range, and falls to 0 in the second. In both ranges clipping changes the code values, and the variance does
+/// not show that.
 const FADES: (f64, f64) = (8.0, 40.0);
-/// Number of code values to either side over which the slope of a response is computed.
+/// The slope of a response at a code value is computed from the responses this many code values below and above it.
 const REACH: usize = 4;
 
 /// Weighting function over the code values, scaled to 0..=255: 0 at both ends, which may be clipped, except for
@@ -87,8 +88,8 @@ impl Weight {
         })
     }
 
-    /// Returns the weight of the middle code value. It stands for the weight of the whole frame: the extra weights e of
-    /// the [equation](super) are proportional to it.
+    /// Returns the weight of the middle code value. The extra weight e of the frame in the [equation](super) is
+    /// proportional to it.
     pub(super) fn middle_weight(self, curve: &ResponseCurve, time: f64, noise: &Noise) -> f32 {
         match self {
             Weight::Uniform => 1.0,
@@ -105,8 +106,8 @@ fn within(weight: f64) -> f64 {
     weight.clamp(1e-30, 1e30)
 }
 
-/// Returns the number of code values per neper (factor e) of exposure around `code`: the inverse slope of g over
-/// [`REACH`] code values to either side. Code values below `least` are not used.
+/// Returns the number of code values per neper (factor e) of exposure around `code`: the inverse slope of g between the
+/// code values [`REACH`] below and above `code`. Code values below `least` are not used.
 fn certainty(g: &[f64; CODES], least: usize, code: usize) -> f64 {
     let (from, to) = (code.saturating_sub(REACH).max(least), (code + REACH).min(CODES - 1));
     (to - from) as f64 / (g[to] - g[from])

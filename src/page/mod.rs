@@ -52,8 +52,7 @@ const FINE: u8 = 82;
 /// JPEG quality of small grey pictures and maps.
 const COARSE: u8 = 74;
 
-/// The colours of the frames, from that of the shortest exposure to that of the longest: from violet to yellow, with
-/// rising lightness.
+/// The colours of the frames, from violet for the shortest exposure to yellow for the longest, with rising lightness.
 const SCALE: [[f64; 3]; 5] =
     [[116.0, 92.0, 176.0], [58.0, 116.0, 186.0], [32.0, 152.0, 150.0], [112.0, 190.0, 92.0], [240.0, 198.0, 52.0]];
 

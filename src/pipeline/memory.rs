@@ -1,8 +1,8 @@
 //! Brackets in memory: no file is read or written.
 //!
 //! In: a [`Bracket`] of frames from [`Frame::from_image`](crate::bracket::Frame::from_image) or
-//! [`Frame::new`](crate::bracket::Frame::new). Out: an [`Outcome`]. Cost: that of a run on files without decoding and
-//! writing.
+//! [`Frame::new`](crate::bracket::Frame::new). Out: an [`Outcome`]. Cost: the same as a run on files, but without
+//! decoding and writing.
 
 use super::stages::Run;
 use super::threads::in_own_pool;

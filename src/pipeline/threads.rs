@@ -1,7 +1,6 @@
 //! The threads of a run.
 //!
-//! In: the requested number. Out: the result of the work, from a pool of that many threads. Cost: that of starting
-//! the pool.
+//! In: the requested number. Out: the result of the work, from a pool of that many threads. Cost: starting the pool.
 
 use crate::error::{Error, Result};
 

@@ -26,7 +26,7 @@ use std::time::Instant;
 pub struct TonemapOptions {
     /// Tone mapping operator.
     pub operator: Operator,
-    /// Linear colour space of written radiance; `None` for that of the file.
+    /// Linear colour space of written radiance; `None` for the colour space of the input file.
     pub colour: Option<Space>,
     /// Output files of pictures and, to convert the input, of radiance maps; the extension selects the format.
     pub outputs: Vec<PathBuf>,

@@ -1,12 +1,12 @@
 //! OpenEXR files of any writer.
 //!
-//! In: a file. Out: the radiance of the first part that has R, G and B or, if there is none, of the first part that
-//! has Y; and the metadata of this part. Supported: half, float and integer samples; scan lines and tiles (the finest
-//! level); every compression of the `exr` crate (all except HTJ2K); one or several parts. If the data window is not
-//! the display window, the pixels of the data window are used. Alpha is dropped: colours are premultiplied, so the
-//! picture is shown over black. Other channels and parts are [listed](Contents::unread). Deep data and the subsampled
-//! chroma of luminance-chroma files are rejected. Cost: that of the crate's codecs; blocks are decompressed in
-//! parallel. Source: see [`crate::write::exr`].
+//! In: a file. Out: the radiance of the first part that has R, G and B or, if there is none, of the first part that has
+//! Y; and the metadata of this part. Supported: half, float and integer samples; scan lines and tiles (the finest
+//! level); every compression of the `exr` crate (all except HTJ2K); one or several parts. If the data window is not the
+//! display window, the pixels of the data window are used. Alpha is dropped: colours are premultiplied, so the picture
+//! is shown over black. Other channels and parts are [listed](Contents::unread). Deep data and the subsampled chroma of
+//! luminance-chroma files are rejected. Cost: the crate's codecs; blocks are decompressed in parallel. Source: see
+//! [`crate::write::exr`].
 
 use super::Contents;
 use crate::bracket::colour::Primaries;

@@ -108,7 +108,7 @@ pub fn read_within(path: &Path, limits: &Limits) -> Result<Contents> {
     Ok(contents)
 }
 
-/// Checks that the first bytes of the file `path` are those of a radiance map.
+/// Checks that the file `path` begins with the first bytes of a radiance map.
 ///
 /// # Errors
 /// [`Error::Read`], [`Error::NotRadiance`].

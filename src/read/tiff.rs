@@ -1,9 +1,9 @@
 //! TIFF with floating-point samples or LogLuv, of any writer.
 //!
-//! In: a file. Out: the radiance of its first picture, RGB or grey, and the metadata of its tags. Supported: strips
-//! and tiles, 16, 32 and 64 bits, every compression and predictor of the `tiff` crate; LogLuv and LogL in strips.
-//! Integers are rejected, because they are encoded for a display. Cost: that of the crate, which decompresses one
-//! strip after the other. Source: see [`crate::write::tiff`] and `crate::write::tiff::logluv`.
+//! In: a file. Out: the radiance of its first picture, RGB or grey, and the metadata of its tags. Supported: strips and
+//! tiles, 16, 32 and 64 bits, every compression and predictor of the `tiff` crate; LogLuv and LogL in strips. Integers
+//! are rejected, because they are encoded for a display. Cost: the crate, which decompresses one strip after the other.
+//! Source: see [`crate::write::tiff`] and `crate::write::tiff::logluv`.
 
 use super::Contents;
 use super::orientation::Turn;

@@ -10,21 +10,21 @@
 //! O = sum_ij { w(Z_ij) [g(Z_ij) - ln E_i - ln dt_j] }^2 + lambda sum_z [ w(z) g''(z) ]^2
 //! ```
 //!
-//! over g and all ln E_i, by a singular value decomposition of a matrix with a column for each unknown. Z_ij is the
-//! code of place i in frame j, E_i the radiance of place i, dt_j the exposure of frame j, and w the weight of a code.
-//! Here each ln E_i is eliminated first, because it is only in the rows of its own place: a Householder reflection
-//! replaces these rows by one row fewer, without ln E_i. The singular value decomposition is applied to the remaining
-//! equations, in g only. So thousands of places need no more columns than dozens. Normal equations would also need few
-//! columns, but would square the condition number. Five things differ from the paper:
+//! where g and all ln E_i are unknowns, by a singular value decomposition of a matrix with a column for each unknown.
+//! Z_ij is the code of place i in frame j, E_i the radiance of place i, dt_j the exposure of frame j, and w the weight
+//! of a code. Here each ln E_i is eliminated first, because it is only in the rows of its own place: a Householder
+//! reflection replaces these rows by one row fewer, without ln E_i. The singular value decomposition is applied to the
+//! remaining equations, in g only. So thousands of places need no more columns than dozens. Normal equations would also
+//! need few columns, but would square the condition number. Five things differ from the paper:
 //!
 //! - Z_ij is the mean of a patch and lies between two codes; g is interpolated linearly between them.
 //! - The first sum is divided by the sum of its w^2, so that lambda has the same meaning for any number of samples and
 //!   frames.
 //! - Places that contradict the others (motion) lose their weight in a few rounds of Tukey's biweight.
-//! - The smoothness is that of the difference between g and the sRGB curve. If all frames are k stops apart, g is
-//!   determined only up to a wave of period k (Grossberg & Nayar 2003, "what is knowable"). The smoothness decides
-//!   what is not determined, and cameras are closer to the sRGB curve than to a straight line. On brackets with film
-//!   curves, errors of 0.05 and 0.2 stops fall to 0.03.
+//! - Not g must be smooth, but the difference between g and the sRGB curve. If all frames are k stops apart, any wave
+//!   of period k can be added to g (Grossberg & Nayar 2003, "what is knowable"). The smoothness term decides between
+//!   these curves, and cameras are closer to the sRGB curve than to a straight line. On brackets with film curves,
+//!   errors of 0.05 and 0.2 stops fall to 0.03.
 //! - The difference is a cubic spline with 47 coefficients instead of 256 values: the same curve, fifty times faster.
 
 use super::fit::{self, Fitted, Found, between};
@@ -39,10 +39,10 @@ use crate::response::fit::spline::Basis;
 pub struct Options {
     /// Largest number of places for each channel; 24 or more.
     pub samples: usize,
-    /// The weight lambda of smoothness relative to the mean square error of the samples; positive. The default of 30
-    /// was compared with a weight of 100 on 130 rendered brackets: the error is the same in the middle of the code
-    /// range, and two thirds as large at the ends. With a weight of 10, the curve follows noise and waves. It also does
-    /// so with weights derived from the residual of each bracket.
+    /// The weight lambda of the smoothness term; the mean square error of the samples has weight 1. Positive. The
+    /// default of 30 was compared with a weight of 100 on 130 rendered brackets: the error is the same in the middle of
+    /// the code range, and two thirds as large at the ends. With a weight of 10, the curve follows noise and waves. It
+    /// also does so with weights derived from the residual of each bracket.
     pub smoothness: f64,
     /// Number of rounds in which contradicting samples lose their weight; 0 for plain least squares.
     pub rounds: usize,
@@ -244,9 +244,10 @@ mod tests {
             difference(&channel(&samples, &options).unwrap().0, |v| libm::pow(v, 2.2))
         };
         let (plain, robust) = (bent(0), bent(3));
-        // In an eighth of the places something moved, and each of these places became brighter in the longest
-        // exposure. Motion within the noise cannot be detected, so 0.083 of 0.211 stops of error remain, for any
-        // number of rounds. The test checks the ratio of the two errors, not the accuracy.
+        // In an eighth of the places something moved, and each of these places became brighter in the longest exposure.
+        // Without the robust rounds, the error is 0.211 stops. With any number of rounds, 0.083 stops remain, because
+        // motion that is not larger than the noise cannot be detected. The test checks the ratio of the two errors, not
+        // the accuracy.
         assert!(robust < plain / 2.4, "{robust} and {plain} stops");
     }
 

@@ -23,7 +23,8 @@ use crate::statistics::{MEDIAN_DEVIATION, median};
 
 /// Smallest exposure step that is evaluated, in stops.
 const STEP: f64 = 0.9;
-/// Range of codes that are evaluated: rounding and the camera's toe dominate below, its shoulder above.
+/// Range of codes that are evaluated. Below it, rounding and the toe of the camera's curve dominate; above it, the
+/// shoulder of the curve.
 const RANGE: (f64, f64) = (8.0, 247.0);
 /// Smallest number of places from which a pair of frames is evaluated.
 const FEWEST: usize = 60;
@@ -32,41 +33,45 @@ const FEWEST: usize = 60;
 const BLOCK: usize = 40;
 /// Number of neighbourhoods along the longer side of the picture.
 const NEIGHBOURHOODS: usize = 24;
-/// Reach of Tukey's biweight in robust standard deviations: places beyond it are taken for motion.
+/// Places whose ratio deviates by more than this many robust standard deviations count as motion (the reach of Tukey's
+/// biweight).
 const REACH: f64 = 4.685;
-/// Frames count as locally processed if their variation over the picture, in stops, exceeds LOCAL * f^POWER, where f
-/// is the fraction of the nominal exposure step that is found in the pixels. The limit is measured. Without local
+/// Frames count as locally processed if their variation over the picture, in stops, exceeds LOCAL * f^POWER, where f is
+/// the fraction of the nominal exposure step that is found in the pixels. The limit is measured. Without local
 /// processing, variation / f^POWER was at most 0.023 on 301 rendered brackets (truth.py), and at most 0.032 on 15
 /// photographed brackets, some with motion, mist, film or flash; it was 0.056 on a bracket of water. It was 0.061 or
 /// more on 49 of 52 brackets of phones. The other three had 0.004 to 0.022; their curves are at least 1.5 times as
-/// steep as sRGB's. Because of the power, frames with the full exposure step must vary by more than any camera
-/// response causes, but frames with half of the step only by little.
+/// steep as sRGB's. Because of the power, the limit depends strongly on f. For f = 1, it is larger than the variation
+/// that any camera response causes. For f = 1/2, a small variation exceeds it.
 const LOCAL: f64 = 0.04;
 const POWER: f64 = 5.0;
-/// Frames in which more than this fraction of an exposure step is found do not count as locally processed, whatever
-/// their variation over the picture. The variation may have other causes: it was 0.48 stops on a bracket of water
-/// under moving lights. The fraction was 0.40 to 1.02 on 24 brackets with simulated phone processing (truth.py), and
-/// 1.17 to 1.59 on six photographed brackets. It is above 1 there because camera curves are steeper than sRGB's.
+/// If frames differ by at least this multiple of their exposure step (in the median), they do not count as locally
+/// processed, even if the ratio of two frames varies over the picture. Such a variation may have other causes: it was
+/// 0.48 stops on a bracket of water under moving lights. The multiple was 0.40 to 1.02 on 24 brackets with simulated
+/// phone processing (truth.py), and 1.17 to 1.59 on six photographed brackets. It is above 1 on the latter because
+/// camera curves are steeper than sRGB's.
 const COMPRESSED: f64 = 1.2;
 /// Number of standard errors that are subtracted from a variance. It is large because other causes than noise also
 /// make neighbouring places similar.
 const ERRORS: f64 = 4.0;
-/// Number of brightness levels. The level with the least compression is assumed to have the full exposure step,
-/// because tone mapping compresses and never expands. The alternative was to take the 95th percentile of the fractions
-/// of all places for the full step; on 12 rendered brackets, details are 0.4 dB worse with it.
+/// Number of brightness levels. The level with the least compression is assumed to have the full exposure step, because
+/// tone mapping compresses and never expands. An alternative was tried: to measure at each place by which fraction of
+/// the exposure step two frames differ, and to count the 95th percentile of these fractions as the full step. On 12
+/// rendered brackets, details are 0.4 dB worse with it.
 const LEVELS: usize = 8;
 
 /// Evidence of local processing in flat places.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Evidence {
-    /// Median, over all places and pairs of frames, of the fraction of the exposure step by which two frames differ
-    /// under the sRGB curve.
+    /// Difference of two frames at a place, in stops by the sRGB curve, divided by their exposure step: the median over
+    /// all places and pairs of frames.
     pub step_fraction: f64,
-    /// The largest of the median fractions of the brightness levels. Places of that level are compressed least.
+    /// The same as [`step_fraction`](Self::step_fraction), but for the brightness level with the largest median, which
+    /// is compressed least.
     pub most_step_fraction: f64,
-    /// Standard deviation, in stops, of the ratio of two frames between the neighbourhoods of the picture. The part
-    /// that the code value explains and the part that noise explains are subtracted. The value is that of the pair of
-    /// frames with the largest deviation; it is 0 if noise explains all of the deviation.
+    /// How much the ratio of two frames differs between neighbourhoods of the picture: the standard deviation in stops,
+    /// for the pair of frames with the largest one. Variation that the code value or noise explains is subtracted; the
+    /// value is 0 if noise explains all of it.
     pub variation_stops: f64,
     /// Whether the frames are locally processed.
     pub is_local: bool,
@@ -117,7 +122,7 @@ struct Ratio {
     channel: usize,
     /// Mean of the logarithms of exposure in both frames, by the sRGB curve, in stops.
     level: f64,
-    /// Logarithm of the exposure in the longer frame divided by that in the shorter frame, in stops.
+    /// log2 of the exposure in the longer frame divided by the exposure in the shorter frame.
     stops: f64,
 }
 
@@ -142,7 +147,8 @@ fn variation(ratios: &[Ratio], side: usize) -> Option<f64> {
     }
     let cell = |(x, y): (usize, usize)| (y / side, x / side);
     places.sort_by(|a, b| cell(a.0).cmp(&cell(b.0)).then(a.0.cmp(&b.0)));
-    // The mean product of two places in the same neighbourhood is the variance that these places share.
+    // The products of the values of two places in the same neighbourhood are averaged. Noise cancels; the mean is the
+    // variance that the two places have in common.
     let (mut products, mut pairs, mut spread) = (0.0, 0.0, 0.0);
     for group in places.chunk_by(|a, b| cell(a.0) == cell(b.0)) {
         let sum: f64 = group.iter().map(|(_, v)| v).sum();

@@ -9,10 +9,10 @@
 //! O = sum_qp [f(M_pq) - R_{q,q+1} f(M_p,q+1)]^2
 //! ```
 //!
-//! over consecutive exposures q (the shorter) and q + 1, and over places p. M_pq is the code of place p in exposure q,
-//! and R_{q,q+1} the ratio of exposure q to exposure q + 1. Then each R_{q,q+1} is computed from f, as the mean of
-//! f(M_pq) / f(M_p,q+1), and both steps are repeated until f no longer changes. The degree is the smallest that fits.
-//! Eight things differ from the paper:
+//! where the sum is over all places p and all consecutive exposures q (the shorter) and q + 1. M_pq is the code of
+//! place p in exposure q, and R_{q,q+1} the ratio of exposure q to exposure q + 1. Then each R_{q,q+1} is computed from
+//! f, as the mean of f(M_pq) / f(M_p,q+1), and both steps are repeated until f no longer changes. The degree is the
+//! smallest that fits. Eight things differ from the paper:
 //!
 //! - The sum is of relative errors: each error is divided by R f(M_p,q+1), with the f of the previous round. Absolute
 //!   errors would be dominated by bright codes.
@@ -23,8 +23,8 @@
 //!   conditioned.
 //! - Places that contradict the others lose their weight, as in the other models.
 //! - The estimated R replace the given ones only if the error is clearly smaller. They are reported in any case.
-//! - f^u with R^u fits as well as f with R for any power u, and u drifts during the rounds. Afterwards f and R are
-//!   raised to the power for which R agrees best with the given exposures.
+//! - For any power u, f^u and R^u fit as well as f and R, so f and R drift to some power during the rounds. Afterwards
+//!   both are raised to the power with which R agrees best with the given exposures.
 
 use super::fit::{self, Fitted, Found};
 use super::samples::{Sample, View};
@@ -42,17 +42,19 @@ const BETTER: f64 = 0.98;
 /// Smallest slope of ln f per code that a response has, from code 10 to 245: a tenth of sRGB's smallest. A polynomial
 /// with a smaller slope has waves that equal exposure steps do not determine, and that a camera does not have.
 const RISE: f64 = 1e-3;
-/// Estimated ratios are used only if they reduce the error to less than this fraction. A smaller reduction does not
-/// count, because f and R can drift together and still fit as well as before.
+/// Estimated ratios are used only if the error with them is less than this fraction of the error with the given ratios.
+/// A smaller reduction does not count, because f and R can drift together and still fit as well as before.
 const REFINED: f64 = 0.8;
-/// Largest number of rounds, and number of rounds that fit only f before the later ones also estimate R.
+/// The first number is the largest number of rounds. In as many rounds as the second number, only f is fitted; later
+/// rounds also estimate R.
 const ROUNDS: (usize, usize) = (20, 2);
 /// f has converged if no value changes by more than this fraction.
 const STAYS: f64 = 1e-4;
 /// Smallest f, so that it has a logarithm. For comparison: in the sRGB curve, f at code 0 is about 1/2800 of f at code
 /// 128.
 const LEAST: f64 = 1e-5;
-/// Range of the power that turns given exposure ratios into estimated ratios. No camera needs a power outside of it.
+/// Allowed range of the power to which given exposure ratios are raised to agree with the estimated ratios. No camera
+/// needs a power outside of it.
 const POWER: RangeInclusive<f64> = 0.5..=2.0;
 
 /// Options of the fit.

@@ -5,9 +5,9 @@
 //! dt and w are those of Debevec & Malik 1997, "Recovering High Dynamic Range Radiance Maps from Photographs",
 //! section 2.1.
 //!
-//! A recovered curve is neutralised: the three channels are shifted relative to each other, without changing their
-//! shape, so that equal codes mean equal exposures in the w-weighted mean over all codes. The camera has already
-//! applied its white balance, so grey codes must stay grey.
+//! A recovered curve is neutralised, because the camera has already applied its white balance, so grey codes must stay
+//! grey. The three channels keep their shape, but are shifted, so that the mean of g over all codes, weighted by w, is
+//! the same in all channels.
 
 pub mod debevec;
 pub mod file;
@@ -37,9 +37,9 @@ pub const CODES: usize = 256;
 /// The code whose exposure is 1, so that g is 0 there.
 pub const MID: usize = 128;
 
-/// Exposure of code 0 divided by that of code 1. Rounding gives code 0 to all exposures below half of the exposure of
-/// code 1, and the mean of these exposures is a quarter of it. No sample determines the exposure of code 0, and a
-/// smaller ratio would turn values that are only rounded down into dark specks.
+/// Exposure of code 0 divided by the exposure of code 1. Rounding gives code 0 to all exposures below half of the
+/// exposure of code 1, and the mean of these exposures is a quarter of the exposure of code 1. No sample determines the
+/// exposure of code 0. A smaller ratio would turn values that are only rounded down into dark specks.
 const BLACK: f64 = 1.0 / 4.0;
 
 /// The curves of the three channels are made parallel below the first and above the second of these codes.
@@ -126,7 +126,7 @@ impl ResponseCurve {
         a + (code - below as f32) * (b - a)
     }
 
-    /// Returns the code, between two integers, of an `exposure` in a channel: the inverse of
+    /// Returns the code of an `exposure` in a channel, interpolated between integer codes: the inverse of
     /// [`exposure`](Self::exposure).
     pub fn code(&self, channel: usize, exposure: f32) -> f32 {
         let x = &self.exposure[channel];
@@ -136,8 +136,8 @@ impl ResponseCurve {
         (above - 1) as f32 + part
     }
 
-    /// Shifts the channels of `g` relative to each other until the mean over all codes, weighted by [`hat`], is the
-    /// same in each, and then all three by one amount, so that their mean at code [`MID`] is 0.
+    /// Shifts each channel of `g` so that the mean over all codes, weighted by [`hat`], is the same in all channels.
+    /// Then shifts all three channels by one amount, so that their mean at code [`MID`] is 0.
     fn neutralised(mut g: [[f64; CODES]; 3]) -> [[f64; CODES]; 3] {
         let weight: f64 = (0..CODES).map(|z| hat(z as f64)).sum();
         for channel in &mut g {
@@ -198,11 +198,12 @@ pub struct ResponseReport {
     pub fallback: Option<String>,
 }
 
-/// The ratio of two exposures that are consecutive among the exposures in which some place of the scene is unclipped.
+/// The ratio of two consecutive exposures. Consecutive means: some place of the scene is unclipped in both, and in no
+/// exposure between them.
 #[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct RatioReport {
-    /// The shorter and the longer exposure relative to the reference, in stops.
+    /// The shorter and the longer exposure, both divided by the exposure of the reference, in stops.
     pub between_stops: (f64, f64),
     /// Ratio of the longer to the shorter exposure, as given, in stops.
     pub given_stops: f64,

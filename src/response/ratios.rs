@@ -9,11 +9,12 @@
 //! minimise  sum_ij w(Z_ij)^2 [g(Z_ij) - ln E_i - ln dt_j - d_j]^2  +  lambda sum |g''|^2  +  sum_j d_j^2 / sigma^2
 //! ```
 //!
-//! over g, all ln E_i and the corrections d_j together, because each alone would absorb the errors of the others. Z_ij
-//! is the code of place i at exposure dt_j, and sigma the standard deviation of the recorded exposures. g is the sRGB
-//! curve plus a cubic spline for each channel. Two things cannot be determined from pixels and are kept as recorded: a
-//! factor common to all exposures, and a common power of all ratios, which is the contrast of g (Grossberg & Nayar
-//! 2003). Therefore d is orthogonal to both, and brackets of only two different exposures are never corrected. Places
+//! where g, all ln E_i and the corrections d_j are unknowns. They are found together, because each alone would absorb
+//! the errors of the others. Z_ij is the code of place i at exposure dt_j, and sigma the standard deviation of the
+//! recorded exposures. g is the sRGB curve plus a cubic spline for each channel. Two things cannot be determined from
+//! pixels and stay as recorded: a factor that is common to all exposures, and a power to which all exposure ratios are
+//! raised, because it only changes the contrast of g (Grossberg & Nayar 2003). Therefore d is orthogonal to the changes
+//! of ln dt that such a factor or power causes. So brackets of only two different exposures are never corrected. Places
 //! that contradict the others (motion) lose their weight by Tukey's biweight. If all corrections are within the
 //! uncertainty of the fit, none is applied, so that exact exposures are not changed.
 
@@ -63,8 +64,8 @@ const SPLINE: usize = INTERVALS + 3;
 const SMOOTHNESS: f64 = 3e-5;
 /// Number of rounds in which places that contradict the others lose their weight.
 const ROUNDS: usize = 3;
-/// Number of places that count as independent. It is far below the number of places, because errors of the model are
-/// common to many of them.
+/// Number of places that count as independent in the estimate of uncertainty. It is far below the number of places,
+/// because many places have the same error of the model.
 const INDEPENDENT: f64 = 50.0;
 /// Lower bound of the root mean square misfit, in stops.
 const NOISE: f64 = 0.01;
@@ -148,8 +149,9 @@ fn fit(samples: &[Vec<Sample>; 3], times: &[f64], sigma: f64) -> Option<Vec<f64>
     d.iter().all(|v| v.is_finite()).then(|| d.iter().map(|&v| stops(v)).collect())
 }
 
-/// Returns the directions in which the exposures may be corrected, as unit vectors (Gram-Schmidt). They are orthogonal
-/// to each other, to a common factor of all exposures, and to a common power of all exposures.
+/// Returns the directions in which the logarithms of the exposures may be corrected, as unit vectors (Gram-Schmidt).
+/// They are orthogonal to each other and to two directions: multiplying all exposures by the same factor, and raising
+/// them all to the same power.
 fn free_directions(times: &[f64]) -> Vec<DVector<f64>> {
     let n = times.len();
     let unit = |j: usize| DVector::from_fn(n, |i, _| f64::from(i == j));
@@ -177,9 +179,9 @@ fn base(code: f64) -> f64 {
     libm::log(srgb_to_linear(code.max(0.25) / 255.0))
 }
 
-/// Returns the index of the first of the four coefficients that have a weight at a code, and the four weights. They
-/// are cubic B-splines on evenly spaced knots, at any code. In `spline.rs`, the knots are not evenly spaced, and only
-/// integer codes are evaluated.
+/// Returns the index of the first of the four coefficients that have a weight at a code, and the four weights. The
+/// splines are cubic B-splines whose knots (the codes where their pieces meet) are evenly spaced. In `spline.rs`, the
+/// knots are not evenly spaced, and only integer codes are evaluated.
 fn spline(code: f64) -> (usize, [f64; 4]) {
     let x = (code / 255.0 * INTERVALS as f64).clamp(0.0, INTERVALS as f64 - 1e-9);
     let f = x - x.floor();
@@ -188,8 +190,8 @@ fn spline(code: f64) -> (usize, [f64; 4]) {
     (x as usize, b.map(|v| v / 6.0))
 }
 
-/// Normal equations of one channel, for the coefficients of its spline and the corrections. Each ln E is eliminated:
-/// the weighted mean of its rows is subtracted from them.
+/// Normal equations of one channel, for the coefficients of its spline and the corrections. The unknown ln E of each
+/// place is eliminated: the weighted mean of the rows of the place is subtracted from each of them.
 struct Sums {
     matrix: DMatrix<f64>,
     right: DVector<f64>,
@@ -268,8 +270,8 @@ fn solve(sums: &[Sums], free: &DMatrix<f64>, noise: f64, sigma: f64) -> Option<(
     Some((parts.into_iter().map(|(by_d, by_r)| by_r - by_d * &d).collect(), d))
 }
 
-/// Returns the root mean square misfit of each place, and the sums of weight w^2 (misfit)^2 and of weight w^2 over all
-/// places; misfits are in nepers.
+/// Returns the root mean square misfit of each place, and two sums over all places: the sum of (weight of the place)
+/// w^2 (misfit)^2, and the sum of (weight of the place) w^2. Misfits are in nepers.
 fn misfits(
     samples: &[Sample],
     trust: &[f64],

@@ -18,8 +18,8 @@
 //!   for both codes.
 //! - w is divided by I^2, so that the relative error is minimised. Absolute errors would be dominated by bright
 //!   codes, and dark codes would have errors of at least 0.1 stops (measured on rendered brackets).
-//! - The change of ln I in a sweep is smoothed over the codes (Whittaker 1923). The sums have no unique minimum,
-//!   because nothing relates a code to its neighbours; without smoothing the sweeps converge to noise.
+//! - The change of ln I in a sweep is smoothed over the codes (Whittaker 1923). Without smoothing the sweeps converge
+//!   to noise: the sums have no unique minimum, because nothing relates a code to its neighbours.
 //! - The sweeps start from the sRGB curve instead of a line, and end when they reduce the objective by less than a
 //!   thousandth, so that whatever the frames do not determine stays as in the sRGB curve.
 //! - Places that contradict the others (motion) lose their weight in three rounds, as in the other models.
@@ -37,8 +37,8 @@ const LEAST: f64 = 0.2;
 pub struct Options {
     /// Largest number of places for each channel; 24 or more.
     pub samples: usize,
-    /// Weight of the smoothness term: the squared second differences, over the codes, of a sweep's change; positive.
-    /// It is relative to the number of views, which is scaled to a mean of one view per code.
+    /// Weight of the smoothness term, positive. The term is the sum over the codes of the squared second differences of
+    /// a sweep's change of ln I. The other term is scaled to one view per code on average.
     pub smoothness: f64,
     /// Sweeps are repeated as long as each reduces the objective by at least this fraction; positive, below 1.
     pub gain: f64,

@@ -3,8 +3,8 @@
 //! In: a bracket and its alignment. Out: for each channel, [`Sample`]s from flat places of the overlap, spread over
 //! picture and brightness; the same on any number of threads. Cost: a bounded number of 5x5 patches is read, at most
 //! about 20 ms on two cores for any size. Source: Debevec & Malik 1997, section 2.1, on how to choose pixels: well
-//! distributed in the picture and over the codes, from places of low variance, so that neither noise nor the sampling
-//! of an edge matters. They choose a few dozen pixels by hand; here the samples are means over thousands of patches.
+//! distributed in the picture and over the codes, from places of low variance, so that noise and edges do not matter.
+//! They choose a few dozen pixels by hand; here the samples are means over thousands of patches.
 
 use crate::align::resampling::nearest::{Strip, placed};
 use crate::align::{Alignment, Rect};
@@ -26,19 +26,19 @@ const READ: usize = 60_000;
 const SEEN: (f64, f64) = (2.0, 253.0);
 /// Largest standard deviation within a flat patch, in codes.
 const ROUGH: f64 = 12.0;
-/// Number of codes by which a longer exposure may be darker than a shorter one, in addition to the noise of the
-/// patches.
+/// A longer exposure may be darker than a shorter one by this many codes plus the noise of the patches; otherwise
+/// something moved.
 const DARKER: f64 = 2.0;
-/// Smallest increase of a patch's code per stop of exposure: a fraction of the code and a number of codes, of which
-/// the larger counts. If the increase is smaller, the shorter exposure is at the black of the film or sensor, and is
-/// not used. Camera curves rise by a fifth to a third of the code per stop.
+/// Smallest increase of a patch's code per stop of exposure: the larger one of a fraction of the code and a number of
+/// codes. If the increase is smaller, the shorter exposure is at the black of the film or sensor, and is not used.
+/// Camera curves rise by a fifth to a third of the code per stop.
 const RISE: (f64, f64) = (0.05, 0.5);
-/// Smallest number of patches from which black is estimated, and the fraction of their codes that lies below the
-/// estimate.
+/// Two parameters of the estimate of black. First, the smallest number of patches that is sufficient. Second, the
+/// fraction of their codes that is below the estimate.
 const BLACK: (usize, f64) = (20, 0.95);
-/// Codes from here on are never black.
+/// This code and higher codes are never black.
 const DARK: f64 = 64.0;
-/// Number of bins of brightness over which samples are spread.
+/// Number of bins of brightness. Samples are distributed evenly to the bins.
 const BINS: usize = 32;
 
 /// A place in one frame and one channel.
@@ -46,7 +46,7 @@ const BINS: usize = 32;
 pub struct View {
     /// Z, the mean code of the patch, on the scale 0..=255 for any depth.
     pub code: f64,
-    /// ln dt of the frame: the logarithm of its relative exposure divided by that of the reference.
+    /// ln dt of the frame, where dt is its relative exposure divided by the relative exposure of the reference.
     pub ln_time: f64,
 }
 
@@ -77,7 +77,8 @@ struct Candidate {
 /// The flat places of a bracket, with their codes in all merged frames.
 #[derive(Debug, Clone, Default)]
 pub struct Places {
-    /// For each frame, by rising exposure, its index in the bracket, and its ln dt relative to the reference.
+    /// For each frame, by rising exposure: its index in the bracket, and ln dt, where dt is its exposure divided by the
+    /// exposure of the reference.
     frames: Vec<(usize, f64)>,
     places: Vec<Candidate>,
 }
@@ -136,8 +137,8 @@ impl Places {
         Ok(seen)
     }
 
-    /// Keeps as many places as possible with at most `patches` patches in all frames together, evenly over the
-    /// picture. Keeps all places if there are fewer.
+    /// Keeps as many places as possible, evenly over the picture, so that there are at most `patches` patches in all
+    /// frames together. Keeps all places if they have no more patches than that.
     pub fn thin(&mut self, patches: usize) {
         let (all, kept) = (self.places.len(), patches / self.frames.len().max(1));
         if all <= kept {
@@ -196,8 +197,8 @@ pub fn draw(brackets: &[&Places], count: usize) -> Drawn {
     all
 }
 
-/// Returns for each frame, by rising exposure and without the last, its index, and whether a place becomes brighter or
-/// darker, by more than [`RISE`], in the next longer frame.
+/// Compares each frame, by rising exposure, with the next longer frame. Returns the index of the shorter frame, and
+/// whether the place is brighter or darker by more than [`RISE`] in the longer one.
 fn changes(place: &Candidate, frames: &[(usize, f64)], channel: usize) -> Vec<(usize, Ordering)> {
     let views = place.patches.iter().zip(frames).enumerate();
     let views: Vec<_> =
@@ -211,21 +212,21 @@ fn changes(place: &Candidate, frames: &[(usize, f64)], channel: usize) -> Vec<(u
     views.windows(2).map(change).collect()
 }
 
-/// Returns the range of indices of the frames that measure a place. Frames so short that the next longer one is no
-/// brighter are not in the range.
+/// Returns the range of indices of the frames that measure a place. If a frame is so short that the place is no
+/// brighter in the next longer frame, it is not in the range.
 fn telling(place: &Candidate, frames: &[(usize, f64)], channel: usize) -> Range<usize> {
     first_rise(&changes(place, frames, channel))..frames.len()
 }
 
-/// Returns the index of the frame from which on a place becomes brighter; 0 if it never does, because it is black or
-/// white throughout.
+/// Returns the index of the first frame whose next longer frame shows the place brighter; 0 if there is none, because
+/// the place is black in all frames or white in all frames.
 fn first_rise(changes: &[(usize, Ordering)]) -> usize {
     changes.iter().find(|(_, change)| change.is_gt()).map_or(0, |(i, _)| *i)
 }
 
 /// Returns the code up to which a frame is black: the codes of patches that do not become brighter, plus two standard
-/// deviations of their noise. A patch with motion does not become brighter either. But other patches with the same code
-/// do, so that the code does not count as black.
+/// deviations of their noise. A patch with motion may not become brighter either. But then other patches with the same
+/// code do, so this code does not count as black.
 fn black(seen: &[&Places], channel: usize) -> f64 {
     let dark = |patch: &&[Patch; 3]| patch[channel].mean < DARK;
     let (mut underexposed, mut exposed) = (Vec::new(), Vec::new());
@@ -251,8 +252,8 @@ fn black(seen: &[&Places], channel: usize) -> f64 {
     if codes.len() < BLACK.0 { 0.0 } else { of_rank(codes, rank).unwrap_or(0.0) }
 }
 
-/// Returns the code that separates `below` (up to this code) from `above` (beyond it) with the fewest codes on the
-/// wrong side. It is `f64::MIN` if the fewest codes are wrong when all count as `above`.
+/// Returns the code that best separates `below` from `above`: the fewest codes of `below` are larger than it, and the
+/// fewest codes of `above` are not. It is `f64::MIN` if the separation is best when all codes count as `above`.
 fn parting(below: impl Iterator<Item = f64>, above: Vec<f64>) -> f64 {
     let mut codes: Vec<(f64, i32)> =
         below.map(|code| (code, 1)).chain(above.into_iter().map(|code| (code, -1))).collect();
@@ -309,8 +310,8 @@ fn read(strip: &Strip, x: usize, y: usize) -> Option<[Patch; 3]> {
     })
 }
 
-/// Returns mean and spread of the patch that `codes` begins with; dividing by `scale` converts codes to the scale
-/// 0..=255.
+/// Returns the mean and the standard deviation of the patch at the start of `codes`. Dividing by `scale` converts codes
+/// to the scale 0..=255.
 fn measure<T: Copy + Into<u64>>(codes: &[T], stride: usize, scale: f64) -> [Patch; 3] {
     let (mut sum, mut squares, mut least, mut most) = ([0u64; 3], [0u64; 3], [u64::MAX; 3], [0u64; 3]);
     for row in codes.chunks(stride).take(PATCH) {
@@ -335,8 +336,8 @@ fn measure<T: Copy + Into<u64>>(codes: &[T], stride: usize, scale: f64) -> [Patc
     })
 }
 
-/// Returns at most `count` samples of a channel. All bins of brightness have equal numbers of samples, as far as they
-/// have enough places; the flattest places of each bin are used.
+/// Returns at most `count` samples of a channel. All bins of brightness get the same number of samples, or fewer if a
+/// bin has too few places. The flattest places of each bin are used.
 fn spread(seen: &[&Places], channel: usize, count: usize) -> Vec<Sample> {
     let mut bins: [Vec<(f64, usize)>; BINS] = Default::default();
     let all: Vec<_> = seen.iter().flat_map(|seen| seen.places.iter().map(|place| (place, &seen.frames))).collect();

@@ -55,8 +55,8 @@ fn curve_of_a_bracket_is_recovered_and_grey_stays_grey() {
     assert!((mean(0) - mean(1)).abs() < 1e-9 && (mean(2) - mean(1)).abs() < 1e-9);
 }
 
-/// Returns the root mean square difference from the sRGB curve in stops, over codes 10..=245 of all channels, after the
-/// curve is shifted by the constant that makes the difference smallest.
+/// Shifts the curve by the constant that brings it closest to the sRGB curve. Returns the root mean square of the
+/// remaining difference over codes 10..=245 of all channels, in stops.
 fn off(curve: &ResponseCurve) -> f64 {
     let srgb = ResponseCurve::srgb();
     let codes = (0..3).flat_map(|c| (10..=245).map(move |z| (c, z)));
@@ -112,8 +112,8 @@ fn brackets_of_one_camera_give_a_better_curve_together() {
     let (both, report, _) = recover_from(&[&dark, &bright], &ResponseModel::default()).unwrap();
     assert!(report.fallback.is_none() && off(&both) < 0.03, "{} {report:?}", off(&both));
     let (reversed, ..) = recover_from(&[&bright, &dark], &ResponseModel::default()).unwrap();
-    // The two curves need not be equal: sums are in another order, and other places may be drawn among equally flat
-    // ones.
+    // The two curves need not be equal: sums are computed in another order, and if places are equally flat, others of
+    // them may be chosen.
     assert!((off(&reversed) - off(&both)).abs() < 0.01);
     let (none, report, _) = recover_from(&[], &ResponseModel::default()).unwrap();
     assert!(none == ResponseCurve::srgb() && report.fallback.is_some());

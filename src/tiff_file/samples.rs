@@ -1,7 +1,7 @@
 //! The samples of a picture, decoded by the `tiff` crate, strip by strip or tile by tile.
 //!
-//! In: a decoder. Out: samples, interleaved. Cost: that of the `tiff` crate, and one copy of the samples. Source:
-//! TIFF 6.0 (section 15).
+//! In: a decoder. Out: samples, interleaved. Cost: the `tiff` crate, and one copy of the samples. Source: TIFF 6.0
+//! (section 15).
 
 use super::{Reason, refusal};
 use crate::limits;

@@ -179,8 +179,8 @@ mod tests {
         }
     }
 
-    /// The left half is well exposed in one frame, the right half in the other: away from the middle the fused picture
-    /// shows the well exposed frame.
+    /// The left half is well exposed in one frame, the right half in the other. Except near the middle, the fused
+    /// picture shows the frame that is well exposed there.
     #[test]
     fn each_frame_contributes_where_it_is_well_exposed() {
         let half = |left: f32, right: f32| -> Channels {

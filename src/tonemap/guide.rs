@@ -19,11 +19,11 @@ pub struct Guide {
     lines: Plane<[f32; 2]>,
 }
 
-/// Radius, in cells, of the window of cells to which a linear function is fitted.
+/// Each linear function is fitted to the cells up to this distance, in cells, along both axes.
 const REACH: usize = 2;
 
-/// Regularisation of the fit: at this variance of l in the window, in square stops, the slope is the mean of two
-/// slopes: the one that fits best, and the one given for uniform areas.
+/// Regularisation of the fit. If the variance of l in the fitted cells, in square stops, has this value, the slope is
+/// the mean of two slopes: the best fit, and the slope that is given for uniform areas.
 const REGULARISATION: f32 = 0.02;
 
 /// Largest slope a, so that detail is not exaggerated. The smallest slope is 0.
@@ -48,9 +48,9 @@ impl Guide {
         Guide::regressed(logs, tones, side, detail, REGULARISATION)
     }
 
-    /// Smooths `values`, one for each cell of `side` x `side` pixels, and keeps edges. `half` is the variance of the
-    /// values around a cell at which 50 % of the cell's deviation from their mean is kept. This is the guided filter
-    /// whose guide is the filtered picture itself (section 3.2).
+    /// Smooths `values`, one for each cell of `side` x `side` pixels, and keeps edges. If the values around a cell have
+    /// the variance `half`, 50 % of the cell's deviation from their mean is kept. This is the guided filter whose guide
+    /// is the filtered picture itself (section 3.2).
     pub fn smoothed(values: &Plane<f32>, side: usize, half: f32) -> Self {
         Guide::regressed(values, values, side, 0.0, half)
     }
@@ -116,8 +116,8 @@ pub fn interpolated(columns: &Columns, x: usize, row: &[[f32; 2]]) -> impl Itera
     })
 }
 
-/// Returns for each cell the mean over the square around it, whose side is 2 REACH + 1 cells. Beyond the border, the
-/// border cells are repeated.
+/// Returns for each cell the mean over the square of 2 REACH + 1 cells around it. Beyond the border, the border cells
+/// are repeated.
 fn box_mean<const N: usize>(plane: &Plane<[f32; N]>) -> Plane<[f32; N]>
 where
     [f32; N]: Default,

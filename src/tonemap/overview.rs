@@ -59,8 +59,8 @@ impl Overview {
         Overview { photographed, ..self }
     }
 
-    /// Sets the conversion of colours such that light of the chromaticity `light` (CIE xy, relative to D65) becomes
-    /// white. `primaries` are those of the radiance.
+    /// Sets the conversion of colours so that light of the chromaticity `light` becomes white. `light` is a CIE xy in
+    /// colours that were adapted from the white of `primaries`, the primaries of the radiance, to D65.
     pub fn balanced(self, primaries: &Primaries, light: [f64; 2]) -> Self {
         Overview { to_srgb: ToSrgb::balanced(primaries, light), ..self }
     }
@@ -128,15 +128,15 @@ impl Overview {
     }
 }
 
-/// Largest range, in stops, of a scene that counts as uniform. The range of noise and rounding is smaller; that of the
-/// falloff of light towards the corners of a picture (vignetting) is larger.
+/// Largest range, in stops, of a scene that counts as uniform. Noise and rounding have a smaller range. The falloff of
+/// light towards the corners of a picture (vignetting) has a larger one.
 const UNIFORM_STOPS: f32 = 0.25;
 
 /// Value that stands for the log2 luminance of a pixel without light.
 const UNLIT: f32 = -1000.0;
 
-/// Computes log2 luminance, and red and blue divided by luminance, of a row. The ratios are clamped to those of sRGB
-/// colours.
+/// Computes log2 luminance, and red and blue divided by luminance, of a row. The ratios are clamped to the range that
+/// sRGB colours have.
 struct Logs<'a> {
     to_srgb: &'a ToSrgb,
     row: &'a [[f32; 3]],
@@ -162,9 +162,9 @@ impl Loops for Logs<'_> {
     }
 }
 
-/// Returns the value below which a share `p` of `sorted` lies; `sorted` is ascending and not empty. With five values or
-/// more, at least one value lies beyond the result at either end. So a single outlier does not determine the result,
-/// even in a small picture.
+/// Returns the quantile `p` (0..=1) of `sorted`, which is ascending and not empty. With five values or more, at least
+/// one value lies beyond the result at either end. So a single outlier does not determine the result, even in a small
+/// picture.
 pub fn quantile(sorted: &[f32], p: f64) -> f32 {
     let last = sorted.len() - 1;
     let place = last as f64 * p;

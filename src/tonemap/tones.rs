@@ -31,9 +31,9 @@ pub struct Curve {
 }
 
 impl Curve {
-    /// Tabulates a curve. `display` gives the luminance of a tone, 0..=1 and never decreasing. `contrast` gives the
-    /// slope of log display luminance with respect to log scene luminance; the correction of saturation (Mantiuk's
-    /// equation 5) is computed from it. `saturation` is a factor on the corrected saturation.
+    /// Tabulates a curve. `display` gives the luminance of a tone, 0..=1 and never decreasing. `contrast` gives, for a
+    /// tone, the slope of log display luminance as a function of log scene luminance. The correction of saturation
+    /// (Mantiuk's equation 5) is computed from this slope. `saturation` is a factor on the corrected saturation.
     pub fn new(display: impl Fn(f64) -> f64, contrast: impl Fn(f64) -> f64, saturation: f64) -> Self {
         let entry = |i| {
             let v = f64::from(FIRST) + i as f64 / PER_OCTAVE as f64;
@@ -109,7 +109,7 @@ impl Tones {
         Tones::new(to_srgb, Guide::shifted(0.0), curve, width)
     }
 
-    /// Maps whole rows of radiance, the first of which is row `first` of the picture, to code values of `encoder`.
+    /// Maps whole rows of radiance to code values of `encoder`. The first of these rows is row `first` of the picture.
     pub fn map<C: Code>(&self, encoder: &Encoder, first: usize, rows: &[[f32; 3]], codes: &mut [[C; 3]]) {
         let width = self.columns.0.len().max(1);
         let mut lines = Vec::new();
@@ -146,7 +146,8 @@ impl Tones {
     }
 
     /// Maps a block of radiance, in place, to light of the encoder's primaries relative to display white. `x` is the
-    /// column of the first pixel; `lines` and `chroma` are what the guide gives for this row of the picture.
+    /// column of the first pixel; `lines` (slopes and offsets) and `chroma` are the values of the guide for this row of
+    /// the picture.
     #[inline(always)]
     fn pixels(
         &self,

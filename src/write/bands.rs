@@ -173,7 +173,7 @@ impl<R, F: FnMut(&[u8], R) -> Result<()>> Line<R, F> {
             if outcome.is_ok() {
                 *outcome = sink(&bytes, said);
                 if outcome.is_err() {
-                    // A number above those of all bands, so that no further band is started.
+                    // This number is larger than the number of any band, so no further band is started.
                     self.taken.store(usize::MAX / 2, Ordering::Relaxed);
                 }
             }
@@ -238,7 +238,7 @@ mod tests {
         }
     }
 
-    /// The returned error is that of the first band, in order, that cannot be written; no later band is written.
+    /// Returns the error of the first band, in order, that cannot be written; no later band is written.
     #[test]
     fn the_first_error_ends_it() {
         for threads in [1, 3] {

@@ -167,7 +167,7 @@ mod tests {
     #[test]
     fn copied_exif_is_kept_and_properties_of_the_file_are_corrected() {
         let first = Metadata { time_s: Some(0.5), iso: Some(100.0), ..Metadata::default() };
-        // The block states another size and another program, as that of an edited photograph does.
+        // The block contains another size and another program, like the block of an edited photograph.
         let other = Metadata { software: "other".into(), ..first };
         let exif = block((9, 9), &other);
         let metadata = Metadata { capture: Capture { exif, ..Capture::default() }, ..Metadata::default() };

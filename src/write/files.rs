@@ -1,9 +1,9 @@
 //! All output files of a run, written in parallel from the same rows.
 //!
 //! In: rows of the radiance and of the picture, in portions of any size. Out: a complete temporary file for every
-//! output. Cost: that of the encoders, distributed to all threads: bands of one file are encoded while another file
-//! is written, and a file is synced after its last row while other files are still encoded. Memory: a few encoded
-//! bands for each file.
+//! output. Cost: the encoders, distributed to all threads: bands of one file are encoded while another file is written,
+//! and a file is synced after its last row while other files are still encoded. Memory: a few encoded bands for each
+//! file.
 
 use super::format::{Format, Output};
 use super::jpeg::{self, Rendition, Survey};

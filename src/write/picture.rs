@@ -17,7 +17,7 @@ pub struct Options {
     pub depth: Depth,
     /// Primaries and transfer function, and the profile that describes them. Default: sRGB.
     pub colours: Colours,
-    /// Size of the picture. Default: that of the radiance map.
+    /// Size of the picture. By default, the size of the radiance map.
     pub size: Size,
     /// Adjustments after the tone mapping operator. Default: none.
     pub adjust: adjust::Options,

@@ -52,14 +52,14 @@ pub struct Agreement {
 }
 
 impl Agreement {
-    /// The share of agreeing tiles among all agreeing and disagreeing ones, after adding five imaginary tiles of which
-    /// one and a half agree. With few tiles, the share is therefore close to 0.3.
+    /// The number of agreeing tiles divided by the number of agreeing and disagreeing tiles. Before the division, 1.5
+    /// is added to the numerator and 5 to the denominator, so that with few tiles the share is close to 0.3.
     pub fn share(&self) -> f64 {
         (self.agreeing as f64 + 1.5) / ((self.agreeing + self.disagreeing) as f64 + 5.0)
     }
 
-    /// How much of the picture has agreeing tiles: 1/2 if none has, 1 if at least `ENOUGH_PARTS` of the 3 x 3 cells
-    /// have.
+    /// How much of the picture has agreeing tiles: 1/2 if there are none, 1 if there are some in at least
+    /// `ENOUGH_PARTS` of 3 x 3 cells of the picture.
     pub fn coverage(&self) -> f64 {
         0.5 + 0.5 * self.parts.min(ENOUGH_PARTS) as f64 / ENOUGH_PARTS as f64
     }

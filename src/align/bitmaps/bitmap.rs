@@ -76,8 +76,8 @@ fn pack(pixels: &[u8; 64], set: impl Fn(u8) -> u8) -> u64 {
 /// Returns the 64 bits of a padded row that start at pixel `bit`; bits outside the row are zero.
 #[inline]
 pub(crate) fn bits_from(row: &[u64], bit: i64) -> u64 {
-    // Pixel `bit` is in word `first` of the padded row. If the row has fewer than two words from there on, they are
-    // padding, which is zero; the same holds for a negative `first`.
+    // Pixel `bit` is in word `first` of the padded row. If word `first` or the word after it is beyond either end of
+    // the row, all needed bits are padding, which is zero.
     let first = usize::try_from((bit >> 6) + 1).unwrap_or(row.len());
     match row.get(first..).and_then(|r| r.first_chunk::<2>()) {
         Some(&[low, high]) => join(low, high, (bit & 63) as u32),
@@ -123,7 +123,7 @@ pub struct ThresholdBitmaps {
 pub(super) type Words<'a> = (&'a [u64], &'a [u64]);
 
 impl ThresholdBitmaps {
-    /// The bitmaps of level `i` of `pyramid` at `percentile`.
+    /// Returns the bitmaps of level `i` of `pyramid`, with the threshold at `percentile`.
     pub fn of_level(pyramid: &GreyPyramid, i: usize, percentile: Percentile, exclusion: u8) -> Self {
         Self::new(pyramid.level(i), &Zone::about(pyramid.histogram(i).value_at(percentile), exclusion))
     }

@@ -4,7 +4,7 @@
 //! fewest pixels differ, and its error estimate. Cost: each round warps the frame once and counts the differing pixels
 //! ten times; two to four rounds are enough. Nothing but the observations is allocated after [`Descent::new`].
 //!
-//! Source: the counts are Ward's (2003, section 2). The thesis on which hdralign is based tries one angle after another
+//! Source: the counts are Ward's (2003, section 2). The thesis that hdralign is based on tries one angle after another
 //! (chapter 4). Here the picture is divided into a grid of cells instead. The counts under shifts of up to two pixels
 //! give the displacement of each cell, and a shift and a rotation are fitted to all cells by least squares.
 
@@ -14,11 +14,12 @@ use nalgebra::{SMatrix, SVector};
 
 /// The descent ends after a step that is shorter than this, in pixels of the level.
 const SETTLED: f64 = 0.02;
-/// The rate (share of differing pixels) is valid only if at least this share of the pixels is compared.
+/// The rate, the fraction of differing pixels among the compared pixels, is valid only if at least this fraction of all
+/// pixels is compared.
 pub(crate) const LEAST_COMPARED: f64 = 0.1;
 /// Largest number of cells along a side of the picture. Each cell gives observations of the motion.
 const CELLS: usize = 6;
-/// Prior standard deviation of each fitted parameter, whose prior mean is 0, in pixels of the level.
+/// Prior standard deviation of each fitted parameter, in pixels of the level. The prior mean is 0.
 const PRIOR_PX: f64 = 1.0;
 /// The largest step of a round, in pixels of the level: the largest displacement in [`STEPS`].
 const LONGEST_STEP: f64 = 2.0;
@@ -28,7 +29,7 @@ const REWEIGHTED: usize = 3;
 const STEPS: [i64; 5] = [-2, -1, 0, 1, 2];
 /// The eight nearest shifts, as (right, down).
 const NEIGHBOURS: [(i64, i64); 8] = [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)];
-/// Number of points along a side of the grid over which the error is averaged.
+/// The error is averaged over a grid with this many points along each side.
 const GRID: usize = 7;
 
 /// Number of parameters of the fit.
@@ -40,9 +41,9 @@ const UNKNOWNS: usize = 9;
 type Row = SVector<f64, UNKNOWNS>;
 type Square = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 
-/// An equation for the parameters, from one kind of edge of one cell along one axis (see [`Descent::observations`]):
-/// the scalar product of `row` and the parameters equals `value`, in pixels. If all differing pixels were independent,
-/// the variance of `value` would be 1 / `weight`.
+/// An equation for the parameters (see [`Descent::observations`]). Each cell gives one for each axis and each kind of
+/// edge. The equation says that the scalar product of `row` and the parameters equals `value`, in pixels. If all
+/// differing pixels were independent, the variance of `value` would be 1 / `weight`.
 #[derive(Debug, Clone, Copy)]
 struct Observation {
     row: Row,
@@ -102,7 +103,8 @@ impl<'a> Descent<'a> {
     pub(crate) fn descend_by_pixels(&mut self, start: Motion) -> (f64, Motion) {
         let mut best = (self.rate(&start, Rounding::Nearest), start);
         let step = 0.5 / self.arm();
-        // Each round but the last lowers the rate. The limit of eight rounds bounds the time on noisy plateaus.
+        // Each round but the last lowers the rate. The limit of eight rounds bounds the time if noise lowers the rate
+        // again and again.
         for _ in 0..8 {
             let centre = best.1;
             self.frame.warp_onto(&centre, Rounding::Nearest, &mut self.warped);
@@ -153,8 +155,9 @@ impl<'a> Descent<'a> {
     /// picture, in pixels of the level.
     ///
     /// The square of the error is the sum of two parts. The first is the variance of the fitted shift and rotation. The
-    /// second is for motion that is not a shift and rotation: the mean square change of position that a homography
-    /// fitted to the same observations would make, minus the value of this change that is expected by chance.
+    /// second covers motion that no shift and rotation describes. For it, a homography is fitted to the same
+    /// observations. The part is the mean square change of position by this homography, minus the value that is
+    /// expected by chance.
     pub(crate) fn assess(&mut self, motion: &Motion) -> (Difference, f64) {
         let observations = self.observations(motion);
         let difference = difference_shifted(self.reference, &self.warped, 0, 0);
@@ -182,17 +185,17 @@ impl<'a> Descent<'a> {
     /// Let a cell have edges that are darker on the right, of total height p, and edges that are brighter on the right,
     /// of total height q. The reference's pixel x is compared with the frame's pixel x + t. If t > 0, the frame is
     /// darker than the reference in p t pixels and brighter in q t pixels. If t < 0, it is brighter in p |t| pixels and
-    /// darker in q |t| pixels. Excluded pixels reduce each count by the width of the exclusion zones. If the thresholds
-    /// differ so that an edge is displaced by c, the counts of one kind of edge are reduced more and those of the other
-    /// kind less. Let D(t) be the number of darker pixels at t, B(t) that of brighter pixels, and o the unknown
-    /// displacement at which the frame matches. Then
+    /// darker in q |t| pixels. Excluded pixels reduce each count by the width of the exclusion zones. Different
+    /// thresholds in the two frames displace each edge by some distance c. Then the counts of one kind of edge are
+    /// reduced more, and the counts of the other kind less. Let D(t) be the number of darker pixels at t, B(t) the
+    /// number of brighter pixels at t, and o the unknown displacement at which the frame matches. Then
     ///
     /// D(1) + D(2) - B(-1) - B(-2) = -4 p (o - c), B(1) + B(2) - D(-1) - D(-2) = -4 q (o + c).
     ///
-    /// Here p and q are measured as the mean growth of the counts from |t| = 1 to |t| = 2. The equations hold exactly
-    /// for |o| <= 1 if edges are sharp, and for any o if the counts grow quadratically. In finely structured pictures,
-    /// the counts only grow up to |t| = 1. There the growth from 0 to 1 and the equation D(1) - B(-1) = -2 p (o - c)
-    /// are more precise. If o and c are 0, the left sides are 0, whatever the form of the counts.
+    /// Here p and q are measured as the mean growth of the counts from |t| = 1 to |t| = 2. If edges are sharp, the
+    /// equations hold exactly for |o| <= 1. If the counts grow quadratically, they hold for any o. In finely structured
+    /// pictures, the counts only grow up to |t| = 1. There the growth from 0 to 1 and the equation D(1) - B(-1) = -2 p
+    /// (o - c) are more precise. If o and c are 0, the left sides are 0, whatever the form of the counts.
     fn observations(&mut self, motion: &Motion) -> Vec<Observation> {
         self.frame.warp_onto(motion, Rounding::Dithered, &mut self.warped);
         let (width, height) = (self.width(), self.height());
@@ -285,8 +288,8 @@ impl Fit {
             }
         }
         let mut fit = Fit { best: Row::zeros(), covariance: Square::zeros() };
-        // Neighbouring pixels differ together. So the actual variance is `noise` times the variance for independent
-        // pixels. The residuals determine `noise`.
+        // If a pixel differs, its neighbours often differ too. So the actual variance is larger than for independent
+        // pixels, by the factor `noise`, which is estimated from the residuals.
         let mut noise: f64 = 1.0;
         for pass in 0..=REWEIGHTED {
             let mut normal = Square::identity() / (PRIOR_PX * PRIOR_PX);
@@ -349,8 +352,8 @@ mod tests {
 
     #[test]
     fn a_frame_cut_brighter_is_not_moved() {
-        // There are two slopes, 24 px long and wavy so that both axes contribute. One slope rises to the right over the
-        // whole height. The other one falls to the right over a third of the height.
+        // The scene has two soft edges, 24 px wide and wavy, so that both axes contribute. One edge gets brighter to
+        // the right, in all rows. The other edge gets darker to the right, only in a third of the rows.
         let slopes = |x: f64, y: f64| {
             let wave = 12.0 * (y / 9.0).sin();
             let rise = |at: f64| ((x - at - wave) / 24.0).clamp(0.0, 1.0);
@@ -362,9 +365,9 @@ mod tests {
             ThresholdBitmaps::new(&grey, &Zone::about(level, 2))
         };
         let a = take(125);
-        // A threshold that differs by four code values displaces edges by about a pixel. The rising and the falling
-        // slope have heights in the ratio 3 : 1. If the difference of the thresholds were ignored, the result would be
-        // off by (3 - 1) / (3 + 1) = 0.5 px.
+        // A threshold that differs by four code values displaces edges by about a pixel. The first edge moves in one
+        // direction and the second in the other, and the first edge is three times as high. If the difference of the
+        // thresholds were ignored, the result would be off by (3 - 1) / (3 + 1) = 0.5 px.
         for level in [121, 125, 129] {
             let b = take(level);
             let found = Descent::new(&a, &b, 0.0).descend(Motion::default(), 6);

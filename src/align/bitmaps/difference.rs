@@ -62,8 +62,9 @@ pub fn difference_shifted(reference: &ThresholdBitmaps, frame: &ThresholdBitmaps
     sum
 }
 
-/// Returns three ranges of words: the words `near` of the reference, and the words of the frame that start `far` and
-/// `far` + 1 words after them. The bits to be compared begin in the former and end in the latter.
+/// Returns three ranges of words. The first are the words `near` of the reference. The second and the third are words
+/// of the frame, `far` and `far` + 1 words after `near`: the bits to be compared begin in a word of the second range
+/// and end in the next word, which is in the third range.
 #[inline(always)]
 fn overlap<'a>(
     reference: &'a ThresholdBitmaps,
@@ -75,8 +76,8 @@ fn overlap<'a>(
     (reference.words(range(0)), frame.words(range(far)), frame.words(range(far + 1)))
 }
 
-/// Counts the differing and the compared pixels. The frame's bits for a word of the reference begin `offset` bits into
-/// the word of `low` and end in the word of `high`.
+/// Counts the differing and the compared pixels. For each word of the reference, the frame's bits begin at bit `offset`
+/// of a word of `low`, and end in the word of `high` at the same index.
 struct Count<'a> {
     reference: Words<'a>,
     low: Words<'a>,
@@ -147,8 +148,8 @@ struct Band<'a> {
 const WORDS: usize = 8;
 
 impl Loops for Band<'_> {
-    /// For each word, the number of compared pixels that are bright only in the reference, and the number of those that
-    /// are bright only in the frame.
+    /// For each word, two numbers of compared pixels: those that are bright only in the reference, and those that are
+    /// bright only in the frame.
     type Output = ([u64; WORDS], [u64; WORDS]);
 
     #[inline(always)]

@@ -5,7 +5,7 @@
 //! pixel, its error estimate, and the share of pixels that differ under it. Cost: about 30 ms of one core for 12 MP and
 //! 6 ms for 1024 x 768, starting from two grey planes. Source: Ward, "Fast, Robust Image Registration for Compositing
 //! High Dynamic Range Photographs from Hand-Held Exposures", JGT 8(2), 2003, section 2; the rotation follows chapter 4
-//! of the thesis on which hdralign is based.
+//! of the thesis that hdralign is based on.
 //!
 //! Every shift and angle within the search range is tried on the coarsest level. A few candidates are followed from
 //! level to level and improved by whole pixels. Once the level is large enough, the candidates with few differing
@@ -52,8 +52,8 @@ impl Default for MtbOptions {
 pub struct MtbMatch {
     /// The motion reference -> frame, in pixels of the full size.
     pub motion: Motion,
-    /// Error estimate of the motion: root mean square over the picture, in pixels of the full size. It covers noise and
-    /// displacements that no shift and rotation can describe.
+    /// Error estimate of the motion: root mean square over the picture, in pixels of the full size. It includes the
+    /// errors from noise, and displacements that no shift and rotation can describe.
     pub error_px: f64,
     /// The percentile of the threshold, the same in both frames.
     pub percentile: Percentile,

@@ -1,4 +1,4 @@
-//! The search for the motion under which two bitmaps differ least, from the coarsest level down.
+//! The search for the motion with the fewest differing pixels between two bitmaps, from the coarsest level down.
 //!
 //! In: the grey pyramids of two frames. Out: an [`MtbMatch`]; other motions under which the bitmaps nearly agree. Cost:
 //! see [`bitmaps`](crate::align::bitmaps).
@@ -10,7 +10,7 @@ use crate::align::bitmaps::{Motion, MtbMatch, MtbOptions, Rounding, ThresholdBit
 use crate::align::grey::{ENOUGH_PIXELS, GreyPyramid, Histogram, Percentile, level_within};
 use crate::plane::Plane;
 
-/// Finds the motion under which the bitmaps of `reference` and `frame` differ least.
+/// Finds the motion with the fewest differing pixels between the bitmaps of `reference` and `frame`.
 ///
 /// `finest` is the index of the largest level that may be searched. Levels of more than [`ENOUGH_PIXELS`] pixels are
 /// skipped, except the coarsest level, which is always searched.
@@ -101,7 +101,7 @@ impl BitmapPair {
         BitmapPair::from_histograms(reference.level(level), frame.level(level), histograms, exclusion)
     }
 
-    /// Returns the bitmaps of both frames, with thresholds at the same percentile of each histogram.
+    /// Returns the bitmaps of both frames. Each threshold is at the same percentile of the histogram of its frame.
     fn from_histograms(
         reference: &Plane<u8>,
         frame: &Plane<u8>,
@@ -180,7 +180,8 @@ impl BitmapPair {
         let (width, height) = self.size();
         let (mut difference, error) = descent.assess(&found);
         let mut error_px = scale * error;
-        // Halving drops odd columns and rows. This moves the centre of rotation, which is the centre of the level.
+        // When a level with an odd number of columns or rows is halved, the last one is lost. So the centre of a level,
+        // which is the centre of rotation, is not exactly at the centre of the full size.
         let off = |full: usize, here: usize| (scale * here as f64 - full as f64) / 2.0;
         let (x, y) = (off(full.0, width), off(full.1, height));
         let (s, c) = (libm::sin(found.angle), libm::cos(found.angle));
@@ -213,10 +214,10 @@ const SIGNIFICANT: f64 = 2.0;
 const ALTERNATIVES_SIDE: usize = 128;
 
 /// Largest number of bitmap words that are compared for one angle when every shift is tried. It takes some tenths of a
-/// second. With the default `max_shift`, only pictures much longer than wide reach this limit: in [`alternatives`] from
-/// about four times as long as wide.
+/// second. With the default `max_shift`, only pictures that are much longer than wide reach this limit. In
+/// [`alternatives`], pictures reach it if they are about four times as long as wide.
 const MOST_WORK: i64 = 1 << 29;
-/// Overhead of a row, in words that could be compared in the same time.
+/// Overhead of starting a row, expressed as the number of words that could be compared in the same time.
 const ROW_WORDS: usize = 8;
 
 /// Number of candidates that are followed from the coarsest level on; each following level keeps two thirds of them.

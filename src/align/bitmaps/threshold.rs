@@ -4,9 +4,10 @@
 //! Ward 2003, section 2 (median, 17th and 83rd percentile; exclusion of 4 grey values around the threshold).
 //!
 //! Unlike in Ward's method, the thresholds of both frames are at the same radiance. They are found by rank: at any
-//! exposure, the pixels of a scene have the same order of grey values. Ward's zone of 4 grey values spans some stops in
-//! a dark frame, but a fraction of a stop in a bright one, and Ward's median depends on the content of the frame. On
-//! smooth surfaces, both effects would displace the contours of one bitmap against the other.
+//! exposure, the pixels of a scene have the same order of grey values. Ward's method differs in two ways: its zone of 4
+//! grey values spans some stops in a dark frame, but only a fraction of a stop in a bright frame; and its median
+//! depends on the content of the frame. On smooth surfaces, both would displace the contours of one bitmap relative to
+//! the other.
 
 use crate::align::bitmaps::{Motion, Zone};
 use crate::align::grey::{Histogram, Percentile};
@@ -23,8 +24,8 @@ const LEAST_BALANCE: f64 = 0.085;
 
 /// Returns the percentile at which the bitmaps of both frames have structure.
 ///
-/// This is the median, unless in one of the frames less than [`LEAST_BALANCE`] of the pixels is on one side of the
-/// median's zone. Then it is the multiple of five percent with the best balance.
+/// This is the median, if in both frames at least [`LEAST_BALANCE`] of the pixels are on each side of the median's
+/// zone. Otherwise it is the multiple of five percent with the best balance.
 pub fn common_percentile(a: &Histogram, b: &Histogram, exclusion: u8) -> Percentile {
     let balance = |p| {
         let (zone_a, zone_b) = matched_zones(a, b, p, exclusion);
@@ -37,8 +38,8 @@ pub fn common_percentile(a: &Histogram, b: &Histogram, exclusion: u8) -> Percent
     Percentile::others().fold(Percentile::MEDIAN, better)
 }
 
-/// Returns one zone for each of two frames. Both zones contain the same share of their frame's pixels, at the same
-/// ranks.
+/// Returns one zone for each of two frames. Each zone contains the same fraction of the pixels of its frame, at the
+/// same ranks.
 ///
 /// In each frame, the grey values up to `exclusion` away from the percentile contain a share of the pixels. The frame
 /// in which this share is larger keeps these grey values as its zone. The zone of the other frame consists of the grey
@@ -85,8 +86,8 @@ pub fn common_histograms(reference: &Plane<u8>, frame: &Plane<u8>, motion: &Moti
     (Histogram(a), Histogram(b))
 }
 
-/// Approximate number of pairs of pixels that are sampled for the histograms. With so many, the ranks in the two frames
-/// differ more because of motion and noise than because of the sampling.
+/// Approximate number of pairs of pixels that are sampled for the histograms. With so many pairs, sampling changes the
+/// ranks less than motion and noise do.
 const PAIRED: usize = 1 << 15;
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 //! In: a frame's bitmaps and a [`Motion`]. Out: the bitmaps on the reference's grid. Other motions with the same
 //! rotation can then be tried by shifting these bitmaps, without warping again. Cost: each word is copied in pieces, at
 //! some 10 ns each: one piece without rotation, about 7 (at most 11) at 5 degrees; nothing is allocated. Source: the
-//! thesis on which hdralign is based rotates the picture pixel by pixel (chapter 4); the decomposition of a rotated row
+//! thesis that hdralign is based on rotates the picture pixel by pixel (chapter 4); the decomposition of a rotated row
 //! into pieces of the frame's rows is new here.
 
 use crate::align::bitmaps::ThresholdBitmaps;
@@ -48,16 +48,16 @@ struct PixelMap {
     /// `cos` and `sin`: the number of columns and rows by which the position moves for one pixel to the right.
     cos: i64,
     sin: i64,
-    /// Number of pixels to the right after which the row has changed by 2^-32, the unit of the fixed point; 0 if the
-    /// row does not change within the width.
+    /// Number of pixels to the right by which the row changes by 2^-32, the unit of the fixed point; 0 if the row does
+    /// not change within the width.
     run: f64,
     /// `origin`: the position to which pixel (0, 0) maps. `down`: the displacement of the position for one pixel down.
     origin: (i64, i64),
     down: (i64, i64),
 }
 
-/// The position (column and row, in fixed point) to which the first pixel of a row of the grid maps, plus the rounding
-/// offset that applies to one word of 64 pixels of this row.
+/// The first pixel of a row of the grid is mapped to a position (column and row, in fixed point). The block is this
+/// position plus the rounding offset of one word of 64 pixels of the row.
 struct Block(i64, i64);
 
 const ONE: f64 = 4_294_967_296.0;
@@ -118,9 +118,10 @@ impl PixelMap {
 impl ThresholdBitmaps {
     /// Warps these bitmaps to the grid of `onto`, which has the same size.
     ///
-    /// Pixel (x, y) of `onto` becomes the pixel of these bitmaps to which `motion` maps (x, y), rounded by `rounding`.
-    /// It is excluded if that pixel is outside. Along a row of the grid, the row of the frame changes only every 1 /
-    /// sin(angle) pixels; each piece between such changes is copied by shifting packed words.
+    /// `motion` maps pixel (x, y) of `onto` to a position, which `rounding` rounds to a pixel of these bitmaps; that
+    /// pixel is copied. If it is outside of the bitmaps, pixel (x, y) is excluded. Within a row of `onto`, the row that
+    /// is copied from changes only every 1 / sin(angle) pixels. Each piece between such changes is copied by shifting
+    /// packed words.
     ///
     /// # Panics
     /// When the sizes differ.
@@ -159,8 +160,8 @@ mod tests {
     use crate::align::bitmaps::Bitmap;
     use crate::align::bitmaps::bitmap::tests::bitmaps;
 
-    /// Returns the pixels of both bitmaps of `frame`, warped one by one: pixel (x, y) of the grid is the frame's pixel
-    /// `place(x, y)`.
+    /// Returns the pixels of both bitmaps of `frame`, warped pixel by pixel: (x, y) of the result is pixel `place(x,
+    /// y)` of the frame.
     fn warped_by_pixel(frame: &ThresholdBitmaps, place: impl Fn(i64, i64) -> (i64, i64)) -> Vec<(bool, bool)> {
         let (width, height) = (frame.threshold.width() as i64, frame.threshold.height() as i64);
         let pixel = |i: i64| {
@@ -229,8 +230,8 @@ mod tests {
             let sum = all.iter().fold((0, 0), |s, p| (s.0 + p.0, s.1 + p.1));
             [sum.0 as f64 / all.len() as f64, sum.1 as f64 / all.len() as f64]
         };
-        // Among n consecutive elements of such a sequence, the share of any value differs from that of an even
-        // distribution by a few times ln n / n.
+        // Among n consecutive elements of such a sequence, the fraction of any value differs from an even distribution
+        // by a few times ln n / n.
         for (words, rows, most) in
             [(0..36, 0..1700, 0.002), (5..6, 0..1700, 0.01), (0..36, 700..702, 0.06), (8..16, 300..310, 0.06)]
         {

@@ -141,8 +141,8 @@ pub(super) fn bitmap(smooth: &Plane<f32>, threshold: f32, exclusion: u8) -> Plan
     })
 }
 
-/// Returns the numbers of keypoints: those of the grey image, those of the bitmaps, and those of both together. A
-/// keypoint that is found in several of them counts once.
+/// Returns three numbers of keypoints: in the grey image, in the bitmaps, and in both together. A keypoint that is
+/// found in several of these pictures counts once.
 pub(super) fn count(plain: &Features, mtb: &[Features]) -> KeypointCounts {
     KeypointCounts {
         plain: plain.len(),

@@ -116,11 +116,13 @@ struct Chunk {
     /// For each reference keypoint of this task, the nearest keypoint of the frame as an index in the table; none if
     /// the match is ambiguous or too far.
     nearest: Vec<Option<usize>>,
-    /// For each keypoint of the table (of the frame), the nearest of the reference keypoints of this task.
+    /// For each keypoint of the table, which contains the keypoints of the frame: the nearest among the reference
+    /// keypoints of this task.
     nearest_references: Vec<NearestReference>,
 }
 
-/// A keypoint of the reference, and the squared distance of its descriptor from that of a keypoint of the frame.
+/// A keypoint of the reference, and the squared distance between its descriptor and the descriptor of a keypoint of the
+/// frame.
 #[derive(Debug, Clone, Copy)]
 struct NearestReference {
     point: u32,
@@ -132,7 +134,7 @@ const NO_REFERENCE: NearestReference = NearestReference { point: u32::MAX, dista
 /// Number of keypoints of the reference that one task searches for.
 const CHUNK: usize = 64;
 
-/// Number of bins for directions, of 22.5 degrees each, by which the table is ordered.
+/// The table is ordered by direction, in this number of bins of 22.5 degrees each.
 const TURNS: usize = 16;
 /// Largest difference in direction between matching keypoints, in bins.
 const MOST_TURNS: usize = 2;
@@ -237,7 +239,7 @@ struct Nearest<'a, const N: usize> {
 }
 
 impl<const N: usize> Nearest<'_, N> {
-    /// Compares the descriptor with that of the table's keypoint `j`.
+    /// Compares the descriptor with the descriptor of the table's keypoint `j`.
     #[inline]
     fn consider(&mut self, j: usize) {
         let distance = self.descriptor.distance_squared(&self.table.descriptors[j]);

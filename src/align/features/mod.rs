@@ -3,8 +3,8 @@
 //! In: grey pyramids. Out: `FeatureSets`, and a [`Consensus`] for two of them. Cost for each frame: [`sift`] or
 //! [`surf`] on one pyramid level, and again on each bitmap of this level; a bitmap has a quarter as many samples,
 //! because it is not doubled. Cost for a pair of frames: three rounds of matching, two of them guided, and [`ransac`]
-//! or [`lmeds`]. Source: section 4.3 of the thesis on which hdralign is based. It finds that a dark or bright grey
-//! image has few keypoints but its median threshold bitmap has many, and that both together always have enough.
+//! or [`lmeds`]. Source: section 4.3 of the thesis that hdralign is based on. It finds that a dark or bright grey image
+//! has few keypoints but its median threshold bitmap has many, and that both together always have enough.
 //!
 //! A bitmap has edges at one grey value only, and in a dark frame the noise may hide these edges. Therefore seven
 //! bitmaps are used, at fixed percentiles that include Ward's three. Whatever the exposures are, some of the bitmaps

@@ -1,7 +1,7 @@
 //! Brightness of a frame, and the share of its pixels that differ from its black (in a mostly white frame, from its
 //! white).
 //!
-//! In: a frame. Out: its [`Content`] and its grey pyramid. Cost: that of the pyramid.
+//! In: a frame. Out: its [`Content`] and its grey pyramid. Cost: the pyramid.
 
 use crate::align::grey::{GreyPyramid, Histogram, Percentile};
 use crate::bracket::{Frame, Window};

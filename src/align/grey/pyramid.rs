@@ -101,7 +101,7 @@ impl GreyPyramid {
 /// error of the motion was 0.038 px with this limit, and 0.033 px at full size, which takes four times as long.
 pub const ENOUGH_PIXELS: usize = Demand::WHOLE_PYRAMID as usize;
 
-/// Largest number of pixels of the level on which agreement is measured and features are detected.
+/// Largest number of pixels of the level that is used to measure agreement and to detect features.
 const MEASURED_PIXELS: usize = Demand::MEASURED_PIXELS as usize;
 
 /// Largest number of pixels of the finest level of the refinement: a larger level takes more time without any gain.
@@ -114,7 +114,7 @@ pub(crate) fn level_within(pyramid: &GreyPyramid, pixels: usize) -> usize {
     (0..pyramid.len()).find(|&i| area(pyramid.size(i)) <= pixels).unwrap_or(pyramid.len() - 1)
 }
 
-/// Returns the index of the level on which agreement is measured and features are detected.
+/// Returns the index of the level that is used to measure agreement and to detect features.
 pub fn measured_level(pyramid: &GreyPyramid) -> usize {
     level_within(pyramid, MEASURED_PIXELS)
 }

@@ -1,7 +1,7 @@
 //! A candidate: a transform that was found for a frame, with the result of its check by tiles, error estimate and
 //! confidence.
 //!
-//! In: a pair of frames and a transform. Out: a [`Candidate`]. Cost: that of [`check_tiles`].
+//! In: a pair of frames and a transform. Out: a [`Candidate`]. Cost: [`check_tiles`].
 
 use crate::align::agreement;
 use crate::align::agreement::{Agreement, TileCheck, TileFit, check_tiles};
@@ -52,8 +52,8 @@ impl Candidate {
         self.reliability * support / (1.0 + off * off)
     }
 
-    /// The evidence for the transform, used to rank candidates: the number of agreeing minus that of disagreeing tiles,
-    /// reduced by the error estimate.
+    /// The evidence for the transform, used to rank candidates: the number of agreeing tiles minus the number of
+    /// disagreeing tiles, reduced by the error estimate.
     pub(crate) fn evidence(&self) -> f64 {
         let off = self.error_px / self.tolerance_px;
         let tiles = self.agreement().agreeing as f64 - self.agreement().disagreeing as f64;

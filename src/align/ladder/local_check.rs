@@ -2,8 +2,8 @@
 //!
 //! In: the placements of all frames. Out: the same placements, with the share of the picture that is displaced, and
 //! with the error and confidence that follow from this share. In the mode `auto`, the transform of the dominant motion
-//! is used where it fits more of the picture. Cost: that of a [`LocalField`] for each frame. The planes of a frame are
-//! computed again, except for frames that needed only the bitmaps: those are checked while their planes are in memory.
+//! is used where it fits more of the picture. Cost: a [`LocalField`] for each frame. The planes of a frame are computed
+//! again, except for frames that needed only the bitmaps: those are checked while their planes are in memory.
 
 use crate::align::AlignMode;
 use crate::align::ladder::Search;
@@ -51,8 +51,8 @@ impl Search<'_> {
     }
 
     /// Returns `estimate` with an error and a confidence that include the local displacements. In [`AlignMode::Auto`],
-    /// if the frame moved, its transform is replaced by that of the dominant motion where this fits more of the
-    /// picture.
+    /// if the frame moved, and the dominant motion fits more of the picture than the transform does, the dominant
+    /// motion replaces the transform.
     fn checked_locally(&self, pair: &FramePair, estimate: &Estimate) -> Estimate {
         let field = LocalField::new(pair, &estimate.transform);
         // A frame from a tripod is not resampled only because things moved in the scene.

@@ -1,7 +1,7 @@
 //! The ladder: the alignment methods, tried in order from the cheapest to the most expensive.
 //!
-//! In: the grey pyramids of a bracket. Out: a [`Placement`] for each frame. Cost: that of [`by_bitmaps`] for a frame
-//! that needs no other method; several times as much for a difficult frame.
+//! In: the grey pyramids of a bracket. Out: a [`Placement`] for each frame. Cost: [`by_bitmaps`] for a frame that needs
+//! no other method; several times as much for a difficult frame.
 //!
 //! A frame is aligned to the reference by bitmaps (`starts`). The transform is refined and then checked (`candidate`).
 //! If the check leaves doubt, further candidates are found (`doubtful`): by alignment to the neighbour in exposure that
@@ -77,9 +77,11 @@ enum FirstResult {
     Doubtful(Option<Candidate>),
 }
 
-/// Properties of the reference that are needed to align the frames whose first result is [`FirstResult::Doubtful`].
+/// Properties of the reference that are needed to align the frames that bitmaps and refinement alone do not align
+/// ([`FirstResult::Doubtful`]).
 struct ReferenceFeatures {
-    /// The features of the reference; none if the first result of every frame is final.
+    /// The features of the reference. `None` if bitmaps and refinement aligned every frame, so that features are not
+    /// needed.
     features: Option<FeatureSets>,
     /// The shifts under which the reference matches itself ([`agreement::periods`]), in pixels.
     periods: Vec<(f64, f64)>,

@@ -125,7 +125,8 @@ pub(crate) fn estimate(candidate: &Candidate) -> Estimate {
     }
 }
 
-/// The placement of a frame that could not be aligned. `confidence` is that of the best transform found.
+/// The placement of a frame that could not be aligned. `confidence` is the confidence of the best transform that was
+/// found.
 pub(super) fn rejected(reason: String, confidence: f64) -> Placement {
     let confidence = confidence.min(ACCEPTED_CONFIDENCE);
     Placement::Rejected { by: RejectedBy::Alignment, confidence, reason: Some(reason) }

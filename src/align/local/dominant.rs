@@ -54,10 +54,10 @@ pub(super) struct Dominant {
 }
 
 /// Returns the homography that fits the largest number of `cells`; none if `h` fits nearly as many. The displacements
-/// of `cells` are from the positions that `h` gives.
+/// in `cells` are measured from the positions that `h` gives.
 ///
-/// `size` is that of the level in pixels, `scale` the length of its pixels in pixels of the full size, and `overlap`
-/// the number of cells that each pixel contributes to.
+/// `size` is the size of the level in pixels, `scale` the side of one of its pixels in pixels of the full size, and
+/// `overlap` the number of cells that each pixel contributes to.
 pub(super) fn search(
     cells: &[Cell],
     h: &Matrix3<f64>,

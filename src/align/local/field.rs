@@ -1,4 +1,5 @@
-//! The local field: the displacements of the patches, each averaged with those of the neighbours that move alike.
+//! The local field: the displacements of the patches. Each is averaged with the displacements of neighbours that move
+//! alike.
 //!
 //! In: the [matches](super::matching) of the patches. Out: a [`LocalField`], and how much of the picture is displaced
 //! ([`Misfit`]). Cost: negligible. Source: weighted least squares over neighbouring patches, with Tukey's biweight.

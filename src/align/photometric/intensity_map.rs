@@ -7,7 +7,7 @@
 
 /// Number of entries of the map: one for each grey value of the first frame.
 const KNOTS: usize = 256;
-/// Half the length of the interval over which a slope is measured, in grey values.
+/// A slope is measured between two points at this distance below and above, in grey values.
 const SLOPE_REACH: f32 = 4.0;
 
 /// A monotone map of grey values 0..=255 from the first frame of the samples to the second.
@@ -17,7 +17,7 @@ pub struct IntensityMap {
 }
 
 impl IntensityMap {
-    /// Returns the map that turns the distribution of the first values of the pairs into that of the second values; the
+    /// Returns the map that gives the first values of the pairs the same distribution as the second values; the
     /// identity if there are no samples.
     pub fn from_samples(samples: &[(u8, u8)]) -> Self {
         if samples.is_empty() {

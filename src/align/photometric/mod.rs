@@ -5,8 +5,8 @@
 //! look-up and six multiply-adds per pixel. Source: Grossberg & Nayar 2003 (`intensity_map`); Burt & Adelson, "The
 //! Laplacian Pyramid as a Compact Image Code", IEEE Trans. Communications 31(4), 1983 (the binomial kernel).
 //!
-//! The grey values of the darker frame are mapped to those of the brighter frame, so that both are clipped in the same
-//! areas. The mapping comes before the smoothing; otherwise the edges of clipped areas would move.
+//! The grey values of the darker frame are converted to the exposure of the brighter frame, so that both are clipped in
+//! the same areas. The mapping comes before the smoothing; otherwise the edges of clipped areas would move.
 
 mod intensity_map;
 mod tones;

@@ -40,11 +40,12 @@ pub(super) struct Scores<'a> {
 impl Scores<'_> {
     /// Returns the covariance of the parameters; none where it is not determined.
     ///
-    /// `data` is the matrix A of the points alone. `whole` is A + P, where P is the prior, multiplied by `factor`^2
-    /// (see [`add_prior`](crate::align::transform::Increment::add_prior)). Let S be the covariance of the block scores,
-    /// and D = [`CURVATURE`] A + P the derivative of the scores by the parameters. The result is D^-1 (S + A +
-    /// `factor`^2 P) D^-1. A is the variance of independent noise. It is added so that the result is not too small if
-    /// few blocks have detail.
+    /// `data` is the matrix A of the points alone. `whole` is A + P. The matrix P is `factor`^2 times the matrix of the
+    /// prior (see [`add_prior`](crate::align::transform::Increment::add_prior)). Let S be the covariance of the block
+    /// scores, and D = [`CURVATURE`] A + P the derivative of the scores by the parameters. The result is D^-1 (S + A +
+    /// `factor`^2 P) D^-1. Here P is multiplied by `factor`^2 once more, because it is a variance: scaling the scores
+    /// of the prior by `factor`^2 scales their variance by `factor`^4. A is the variance of independent noise. It is
+    /// added so that the result is not too small if few blocks have detail.
     pub(super) fn covariance(&self, data: &DMatrix<f64>, whole: &DMatrix<f64>, factor: f64) -> Option<DMatrix<f64>> {
         let prior = whole - data;
         let inverse = (data * CURVATURE + &prior).cholesky()?.inverse();
@@ -79,8 +80,9 @@ mod tests {
     use super::*;
     use crate::statistics::random;
 
-    /// Computes the covariance of two parameters for points of which each `alike` successive ones have the same
-    /// derivatives and the same residual. Returns it divided by the covariance for independent noise.
+    /// Computes the covariance of two parameters. The points form groups of `alike` successive points; all points of a
+    /// group have the same derivatives and the same residual. Returns the covariance divided by the covariance for
+    /// independent noise.
     fn excess(alike: usize) -> f64 {
         const SIDE: usize = 120;
         let uniform = |i: usize, draw: u64| random(draw, i as u64, 0) as f64 / u64::MAX as f64 - 0.5;

@@ -1,8 +1,8 @@
 //! A pair of frames for refinement: both at a common exposure on every level, and the points to compare.
 //!
 //! In: the grey pyramids of a reference and a frame, and an approximate transform. Out: for each requested level, both
-//! frames and the points; they are computed on first use and kept. Cost: that of [`CommonExposure`], and one pass over
-//! the reference for the points.
+//! frames and the points; they are computed on first use and kept. Cost: [`CommonExposure`], and one pass over the
+//! reference for the points.
 
 use crate::align::grey::{GreyPyramid, measured_level};
 use crate::align::photometric::{CommonExposure, ToneTables};

@@ -57,8 +57,8 @@ pub fn rows_under(
 /// all channels.
 ///
 /// # Panics
-/// If `out` does not have `columns.len() * rows.len()` pixels, or if `window` lacks some of the rows that
-/// [`rows_under`] returns for them.
+/// If `out` does not have `columns.len() * rows.len()` pixels, or if `window` does not contain all rows of the frame
+/// that [`rows_under`] returns for these pixels.
 pub fn resample_rows(
     window: &Window,
     transform: &Transform,

@@ -55,7 +55,7 @@ pub struct Strip<'a> {
 
 impl Strip<'_> {
     /// Finds the square of the frame that corresponds to a square of the reference, and returns the index of its first
-    /// value in the window.
+    /// value in `window`, the rows of the frame that are in memory.
     ///
     /// The reference's square has `side` x `side` pixels; its top-left pixel is (x, y). Returns none if the
     /// corresponding square is not completely inside the frame.

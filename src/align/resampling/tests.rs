@@ -116,8 +116,8 @@ fn eight_and_sixteen_bit_frames_agree() {
     }
 }
 
-/// If the window has only the rows that `rows_under` returns for a strip of the reference, the result is the same as
-/// with the whole frame, without access out of bounds.
+/// Only the rows of the frame that `rows_under` returns for a strip of the reference are in memory. The result is the
+/// same as with the whole frame, and no other row is read.
 #[test]
 fn the_rows_under_a_strip_are_enough() {
     let f = frame(60, 90, |x, y| 100.0 + 90.0 * (0.31 * x * y).sin());

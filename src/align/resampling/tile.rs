@@ -26,8 +26,8 @@ const WINDOW: (usize, usize) = (192, 96);
 /// Number of values that are summed together in a vector.
 const LANES: usize = 8;
 
-/// Distance between successive rows of the window, in values. It is longer than a row, so that a whole vector can be
-/// read at every pixel.
+/// Distance between the starts of successive rows in the copied part of the frame, in values. It is longer than a row,
+/// so that a whole vector can be read at every pixel.
 const STRIDE: usize = 3 * WINDOW.0 + 2 * LANES;
 
 /// Number of column sums (values of a column, weighted and added) that one pixel needs, rounded up to whole vectors.
@@ -151,13 +151,14 @@ struct Scratch {
     positions: Box<SamplePositions>,
 }
 
-/// For each pixel of a row of the tile: its position in the window, and where its column sums begin.
+/// For each pixel of a row of the tile: its position in the window (the part of the frame that was copied for the
+/// tile), and where its column sums begin.
 struct SamplePositions {
-    /// Index of the first of the window's columns under the kernel.
+    /// Index of the first column of the window that is under the kernel.
     left: [u32; TILE.0],
     /// Phase between two columns, in units of 1/1024 pixel; see [`taps_at`].
     across: [u32; TILE.0],
-    /// Index of the first of the window's rows under the kernel, times 2^16, plus the phase between two rows.
+    /// Index of the first row of the window that is under the kernel, times 2^16, plus the phase between two rows.
     down: [u32; TILE.0],
     /// 1 if the position is inside the frame, otherwise 0.
     is_inside: [u32; TILE.0],

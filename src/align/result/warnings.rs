@@ -1,7 +1,7 @@
 //! Warnings about an alignment: rejected and uncertain frames, and a small overlap.
 //!
 //! In: a bracket and the placement of each frame. Out: [`Warning`]s, and the largest rectangle that all aligned frames
-//! cover. Cost: that of the [overlap](overlap::largest).
+//! cover. Cost: the [overlap](overlap::largest).
 
 use crate::align::result::{Displaced, Estimate, Placement, Rect, RejectedBy, overlap};
 use crate::align::transform::Transform;

@@ -122,8 +122,8 @@ pub enum Reason {
     /// Only with [`FindOptions::frames`]: too few photographs around it are left for a bracket of that number of
     /// frames. Contains that number.
     Remainder(usize),
-    /// Only with [`FindOptions::by_folder`]: its size differs from that of the bracket of its folder. Contains its
-    /// width and height, then those of the bracket.
+    /// Only with [`FindOptions::by_folder`]: its size differs from the size of the bracket of its folder. Contains the
+    /// width and height of the photograph, then the width and height of the bracket.
     OtherSize((usize, usize), (usize, usize)),
     /// Only with [`FindOptions::by_folder`]: no other photograph of the folder has its size, so it would be alone in
     /// the bracket.

@@ -1,7 +1,7 @@
 //! Divides photographs into streams in which the frames of a bracket follow each other, and divides each stream into
 //! brackets.
 //!
-//! In: photographs. Out: [`Found`]. Cost: that of [`segment`] and of sorting the photographs.
+//! In: photographs. Out: [`Found`]. Cost: [`segment`], and sorting the photographs.
 //!
 //! A stream contains photographs of one camera, one lens, one size and one folder. Photographs with flash and
 //! photographs without flash are in different streams. The numbered folders of a memory card (DCF 2.0, section 3.2.3:

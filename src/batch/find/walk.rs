@@ -1,7 +1,7 @@
 //! Lists the photographs in folders, each file once, in an order that does not depend on the file system.
 //!
 //! In: folders. Out: the [`Candidate`]s (files that are photographs by their extension), and the files that are not
-//! used. Cost: that of listing the folders.
+//! used. Cost: listing the folders.
 //!
 //! Symbolic links come after all other files, whatever the order of the directory entries. So if there is a file and
 //! a link to it, the file is used.
@@ -150,8 +150,8 @@ pub(super) fn walk(roots: &[PathBuf], skip: &[PathBuf]) -> Result<Walk> {
         let mut folders = Vec::new();
         for Entry { name, is_link, is_folder } in entries {
             match (is_folder, is_link) {
-                // The canonical path is that of the parent plus the name. `fs::canonicalize` would read all parent
-                // folders again.
+                // The canonical path is the canonical path of the parent plus the name. `fs::canonicalize` would read
+                // all parent folders again.
                 (true, false) => folders.push(place.below(&name, place.own.join(&name))),
                 (true, true) => match fs::canonicalize(path.join(&name)) {
                     Ok(own) => linked_folders.push(place.below(&name, own)),

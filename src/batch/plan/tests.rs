@@ -63,8 +63,8 @@ fn no_two_results_have_one_name() {
 }
 
 /// A job named `x` has the failure file x.failed.json, which is also the report of a job named `x.failed`. So one of
-/// the two gets a number in its name. The same holds for a bracket whose files would be those of a response, of the
-/// summary, or of another bracket.
+/// the two gets a number in its name. A bracket also gets a number if its files would have the same names as the files
+/// of a response, of the summary, or of another bracket.
 #[test]
 fn no_two_jobs_have_a_file_in_common() {
     let named = |folder: &str| planned("/in", folder, 1);

@@ -1,8 +1,8 @@
 //! Parses an EXIF block and moves each field to its standard directory.
 //!
 //! In: a TIFF block, and the index of the directory that describes the image. Out: the readable fields; those of the
-//! image are in [`In::PRIMARY`]. Cost: that of kamadak-exif, twice for blocks that must be reordered. Source: EXIF
-//! 2.32, section 4.6; TIFF/EP, which puts the exposure into the directory of the image instead of the EXIF directory.
+//! image are in [`In::PRIMARY`]. Cost: kamadak-exif, twice for blocks that must be reordered. Source: EXIF 2.32,
+//! section 4.6; TIFF/EP, which puts the exposure into the directory of the image instead of the EXIF directory.
 
 use crate::bracket::metadata::carried::DESCRIPTIVE;
 use exif::experimental::Writer;

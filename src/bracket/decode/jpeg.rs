@@ -1,8 +1,8 @@
 //! Decodes JPEG files: baseline and progressive; grey, YCbCr, RGB, CMYK and Adobe's YCCK.
 //!
-//! In: the file. Out: 8-bit RGB, decoded by zune-jpeg without a copy. Cost: that of zune-jpeg (7 ns per pixel at
-//! 4:2:0), and one pass through the file. Source: ITU-T T.81 (annexes B, F, G), Adobe Technical Note 5116 for the APP14
-//! marker, CIPA DC-007 (MPF) for the images that may follow the first one.
+//! In: the file. Out: 8-bit RGB, decoded by zune-jpeg without a copy. Cost: zune-jpeg (7 ns per pixel at 4:2:0), and
+//! one pass through the file. Source: ITU-T T.81 (annexes B, F, G), Adobe Technical Note 5116 for the APP14 marker,
+//! CIPA DC-007 (MPF) for the images that may follow the first one.
 //!
 //! Three kinds of files are decoded by jpeg-decoder, which takes three times as long, because zune-jpeg 0.5.15 decodes
 //! them wrongly:

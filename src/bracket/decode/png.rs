@@ -1,9 +1,9 @@
 //! Decodes PNG files of every colour type, at 8 or 16 bits.
 //!
-//! In: the file. Out: RGB at the depth of the file; palettes and depths below 8 bits become 8 bits. Cost: that of the
-//! `png` crate. Source: W3C, Portable Network Graphics (third edition), with the eXIf, iCCP, cICP, cHRM and gAMA
-//! chunks; ImageMagick, `coders/png.c`, and exiv2, `pngchunk_int.cpp`, for "Raw profile type exif", which programs
-//! wrote before eXIf existed and many still write.
+//! In: the file. Out: RGB at the depth of the file; palettes and depths below 8 bits become 8 bits. Cost: the `png`
+//! crate. Source: W3C, Portable Network Graphics (third edition), with the eXIf, iCCP, cICP, cHRM and gAMA chunks;
+//! ImageMagick, `coders/png.c`, and exiv2, `pngchunk_int.cpp`, for "Raw profile type exif", which programs wrote before
+//! eXIf existed and many still write.
 
 mod colour;
 

@@ -1,8 +1,8 @@
 //! Decodes TIFF files: grey, palettes, RGB and CMYK, at 8 or 16 bits, in strips, tiles or planes.
 //!
 //! In: the file. Out: the first image that is not a thumbnail, as RGB at the depth of the file; palettes and depths
-//! below 8 bits become 8 bits, extra samples are dropped. Cost: that of the `tiff` crate, and two copies. Source: TIFF
-//! 6.0 (sections 4 to 6, 8, 16 and 18); libtiff, `tif_getimage.c`, for colour maps of 8 bit.
+//! below 8 bits become 8 bits, extra samples are dropped. Cost: the `tiff` crate, and two copies. Source: TIFF 6.0
+//! (sections 4 to 6, 8, 16 and 18); libtiff, `tif_getimage.c`, for colour maps of 8 bit.
 
 use super::{Found, Reason, Stored, cmyk_to_rgb, to_rgb};
 use crate::bracket::Samples;

@@ -11,11 +11,11 @@
 //! determine the response completely. What they leave open is taken from prior distributions of camera curves
 //! ([`curve`]) and of the steps that cameras are set to ([`steps`]).
 //!
-//! Measured: 14 camera brackets were estimated, each with curves that were fitted to the other brackets. The median
-//! error of the total span is 1 %; only two brackets have errors of more than 5 %, which are 7 and 17 %. For renderings
-//! with the sRGB curve, the median error is 0.2 %, and the largest is 5 % where no frame is moved. Pairs with curves of
-//! negative film have errors of 1 to 30 %, depending on the curve. Slides, which are twice as contrasty, are mistaken
-//! for camera images.
+//! The errors were measured on 14 camera brackets; for each, the curves were fitted to the other brackets. The median
+//! error of the step from the shortest to the longest exposure is 1 %. Only two brackets have errors above 5 %: 7 and
+//! 17 %. For renderings with the sRGB curve, the median error is 0.2 %; the largest error is 5 % if no frame is moved.
+//! Pairs with curves of negative film have errors of 1 to 30 %, depending on the curve. Slides, which are twice as
+//! contrasty, are mistaken for camera images.
 
 mod contradiction;
 mod curve;
@@ -31,10 +31,10 @@ use steps::Steps;
 
 pub use contradiction::{at_odds, contradiction};
 
-/// Standard deviation of a step estimated from the pixels, relative to the step. It is assumed when the step is
+/// Standard deviation of a step that is estimated from the pixels, divided by the step. It is assumed when the step is
 /// compared with EXIF.
 const CAMERAS: f64 = 0.12;
-/// Exposure steps below this, in EV, count as no step.
+/// Two exposures that differ by less than this, in EV, count as equal.
 const STEP: f64 = 0.2;
 
 /// Brightness statistics of a frame.
@@ -62,8 +62,8 @@ impl Brightness {
     }
 }
 
-/// Finds the pairs of a pixel value of `dark` and a pixel value of `bright` that show equal radiance; `None` where
-/// there are too few pairs.
+/// Finds pairs of pixel values that show equal radiance, one value in `dark` and one in `bright`; `None` if there are
+/// too few pairs.
 fn matches(dark: &Brightness, bright: &Brightness) -> Option<Pair> {
     let shared = overlap(&dark.view, &bright.view).map(|shared| shared.map(Histogram::from));
     let shared = shared.and_then(|[dark, bright]| histogram::matches(&dark, &bright));
@@ -105,8 +105,8 @@ impl Estimate {
 }
 
 /// Estimates the exposures of `frames`, in their order. `None` where two neighbours in brightness cannot be compared.
-/// Frames of equal brightness are ordered by index, so pass frames in an order that does not depend on the command
-/// line.
+/// Frames of equal brightness are ordered by index. So that the result does not depend on the order of the files on the
+/// command line, pass the frames in an order that does not depend on it either.
 pub fn estimate(frames: &[&Brightness]) -> Option<Estimate> {
     let order = by_brightness(frames);
     let pairs: Vec<Pair> =

@@ -101,8 +101,8 @@ impl Exposure {
         }
     }
 
-    /// Returns the exposure corrected by further `stops`. A correction that is not finite, or gives a relative exposure
-    /// that is not positive and finite, is ignored.
+    /// Returns the exposure corrected by further `stops`. The correction is ignored if it is not finite, or if the
+    /// corrected exposure would not be positive and finite.
     pub fn corrected(&self, stops: f64) -> Self {
         let corrected = positive(self.relative * libm::exp2(stops)).filter(|_| stops.is_finite());
         match corrected {
@@ -132,8 +132,9 @@ impl Exposure {
 /// not suffice. Also returns the assumptions made, as (frame index, text).
 ///
 /// If all frames have nominal values (dial markings), these are replaced by the exact steps that they stand for. An
-/// f-number or ISO that is missing in all frames counts as a factor of 1. If it is missing in some frames only, the
-/// value of the other frames is assumed where these agree; where they differ, the exposure of the frame is missing.
+/// f-number or ISO that is missing in all frames counts as a factor of 1. If it is missing only in some frames, and the
+/// other frames all have the same value, this value is assumed. If the other frames have different values, the result
+/// for the frame is `None`.
 pub fn by_tags(tags: &[ExposureTags]) -> (Vec<Option<Exposure>>, Vec<(usize, String)>) {
     let (mut exposures, assumed) = as_written(tags);
     if let Some(exact) = nominal::exact(tags) {

@@ -31,7 +31,8 @@ const HALVES: [f64; 27] = [
     750.0, 1000.0, 1500.0, 2000.0, 3000.0, 4000.0, 6000.0, 8000.0,
 ];
 const OTHER_HALVES: [(f64, i32); 6] = [(0.7, -1), (0.3, -3), (10.0, 7), (0.1, -7), (20.0, 9), (0.05, -9)];
-/// Nominal f-numbers from 1 up. `F_THIRDS` stand for successive powers of 2^(1/6), `F_HALVES` for those of 2^(1/4).
+/// Nominal f-numbers from 1 up. `F_THIRDS` stand for successive powers of 2^(1/6), `F_HALVES` for successive powers of
+/// 2^(1/4).
 const F_THIRDS: [f64; 34] = [
     1.0, 1.1, 1.2, 1.4, 1.6, 1.8, 2.0, 2.2, 2.5, 2.8, 3.2, 3.5, 4.0, 4.5, 5.0, 5.6, 6.3, 7.1, 8.0, 9.0, 10.0, 11.0,
     13.0, 14.0, 16.0, 18.0, 20.0, 22.0, 25.0, 29.0, 32.0, 36.0, 40.0, 45.0,
@@ -48,12 +49,12 @@ const ISO_THIRDS: [f64; 37] = [
 /// Relative tolerance for matching a nominal value. Written decimals are truncated: 333/10000 s is 0.1 % below 1/30 s.
 /// Neighbouring nominal values differ by 7 % or more.
 const SAME: f64 = 2e-3;
-/// Largest difference in stops between ShutterSpeedValue and the exact time for which the exact time is confirmed. Some
-/// cameras round ShutterSpeedValue to eighths of a stop. This changes multiples of a third of a stop by at most 0.042
-/// stops, and other values by at most 0.0625 stops.
+/// ShutterSpeedValue confirms the exact time if the two differ by at most this, in stops. Some cameras round
+/// ShutterSpeedValue to eighths of a stop. This changes multiples of a third of a stop by at most 0.042 stops, and
+/// other values by at most 0.0625 stops.
 const CONFIRMED: f64 = 0.05;
-/// Smallest difference in stops between ShutterSpeedValue and the nominal time which shows that the nominal time is
-/// rounded: 1/30 s and 1/32 s differ by 0.093 stops.
+/// The nominal time is certainly rounded if ShutterSpeedValue differs from it by at least this, in stops. For
+/// comparison: 1/30 s and 1/32 s differ by 0.093 stops.
 const APART: f64 = 0.06;
 
 /// Returns `written` with exact values: exact times, and exact f-numbers and sensitivities where all of them are

@@ -1,8 +1,8 @@
 //! Finds copies: photographs that are in the bracket twice, under two names.
 //!
-//! In: size, pixel values and brightness of each photograph. Out: the photographs whose pixels equal those of another.
-//! Exposures are not compared here: [`contradiction`] finds copies whose recorded exposure differs from that of the
-//! original. Cost: that of comparing histograms; pixels are compared only where the histograms are equal.
+//! In: size, pixel values and brightness of each photograph. Out: the photographs that have the same pixels as another
+//! one. Exposures are not compared here: [`contradiction`] finds copies whose recorded exposure differs from the
+//! exposure of the original. Cost: comparing histograms; pixels are compared only where the histograms are equal.
 //!
 //! Frames that are entirely underexposed or clipped may be equal without being copies, so they are not searched.
 

@@ -1,11 +1,11 @@
 //! Chooses the exposures of a bracket: from EXIF where it is consistent, else from the pixels.
 //!
-//! In: exposure tags and brightness of all frames. Out: an [`Exposure`] for each frame, and warnings. Cost: that of
-//! operations on tables of 256 entries.
+//! In: exposure tags and brightness of all frames. Out: an [`Exposure`] for each frame, and warnings. Cost: operations
+//! on tables of 256 entries.
 //!
 //! EXIF is checked frame by frame. An exposure in EXIF is used if it is consistent with the exposures of the other
-//! frames. If it is missing or contradicts them, the exposure is estimated from the pixels, relative to the frame with
-//! the nearest exposure among those whose EXIF is used.
+//! frames. If it is missing or contradicts them, the step from another frame is estimated from the pixels. That frame
+//! is the one with the nearest exposure among the frames whose EXIF is used.
 
 use super::super::exposure::{self, Exposure};
 use super::Picture;
@@ -125,8 +125,8 @@ impl<'a> Places<'a> {
         Places { steps, known }
     }
 
-    /// Returns the entry of `known` whose step is nearest to that of the frame with index `at` in `steps`: its index in
-    /// `steps`, and the EV to add to the step of `at`.
+    /// Returns the entry of `known` whose step is nearest to the step of the frame `at` (an index in `steps`): the
+    /// entry's index in `steps`, and the EV to add to the step of `at`.
     fn anchor(&self, at: usize) -> (usize, f64) {
         let off = |place: &(usize, f64)| (self.steps[place.0] - self.steps[at]).abs();
         let nearest = self.known.iter().min_by(|a, b| off(a).total_cmp(&off(b)));

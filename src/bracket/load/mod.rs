@@ -1,8 +1,8 @@
 //! Loads files as a bracket.
 //!
 //! In: paths and [`LoadOptions`]. Out: a [`Bracket`] and warnings. The result does not depend on the order of the
-//! paths, except through `-e` and a reference given by number. Cost: that of the decoders, which run in parallel, one
-//! frame per thread.
+//! paths, except through `-e` and a reference given by number. Cost: the decoders, which run in parallel, one frame per
+//! thread.
 //!
 //! Exposures are those given by the user, else those in EXIF. Where an exposure in EXIF is missing or contradicts the
 //! pixels, it is estimated from the pixels. Frames lit by the flash are excluded, because they show a differently lit
@@ -133,7 +133,8 @@ pub(crate) fn load_for(
     let (mut pictures, on_disk) = match &options.memory {
         None => {
             let read = map_at_once(paths.len(), paths.len(), |i| read(&paths[i], None));
-            // Errors are collected in the order given, so that the one returned is that of the first file that fails.
+            // Errors are collected in the order of the files, so that the error of the first file that fails is
+            // returned.
             (read.into_iter().collect::<Result<Vec<_>>>()?, None)
         }
         Some(limit) => read_within(limit, stages, paths, read)?,
@@ -314,7 +315,7 @@ fn with_tags(mut exposure: Exposure, tags: &ExposureTags) -> Exposure {
     exposure
 }
 
-/// Warns about frames whose primaries differ from those of the reference frame.
+/// Warns about frames whose primaries differ from the primaries of the reference frame.
 pub(crate) fn differing_profiles(bracket: &Bracket) -> Vec<Warning> {
     let name = |frame: &Frame| frame.profile.as_ref().map_or("none, so sRGB".into(), |p| p.description.clone());
     let kept = bracket.reference();

@@ -1,7 +1,7 @@
 //! One file of a bracket, read and decoded.
 //!
 //! In: a path. Out: a [`Picture`]: pixel values, brightness statistics, exposure tags, profile and capture data. Cost:
-//! that of the decoder.
+//! the decoder.
 
 use crate::bracket::colour::{Found, Profile};
 use crate::bracket::decode::{self, Decoded};

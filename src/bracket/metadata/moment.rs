@@ -68,7 +68,7 @@ fn date(days: i64) -> (i64, i64, i64) {
     (era * 400 + year_of_era + next, month, day)
 }
 
-/// Returns the time of the exposure. Where the file has none, returns the time of digitising, else that of the last
+/// Returns the time of the exposure. If the file has none, returns the time of digitising, else the time of the last
 /// change: a camera writes the same time to all three fields.
 pub(crate) fn taken(text: &impl Fn(Tag) -> Option<String>) -> Option<Moment> {
     [

@@ -122,7 +122,12 @@ pub struct Args {
     #[arg(long, help_heading = OUTPUT)]
     json: bool,
 
-    /// Also print the warnings of this run, and the brackets already done
+    /// Also print the text of each warning, and the brackets already done
+    ///
+    /// By default, each bracket that is merged gets a line with the number of its warnings. The summary at the end
+    /// counts the brackets already done, and shows the first warning of each degraded result, for at most 10 of them.
+    /// With -v, the warnings of a merged bracket follow its line, and each bracket already done gets a line too. With
+    /// -q, only errors and file names are printed. -v has no effect with --dry-run, --plan, --run or --summarize
     #[arg(short, long, help_heading = OUTPUT, conflicts_with = "quiet")]
     verbose: bool,
 
@@ -204,7 +209,7 @@ struct Acting {
     #[command(flatten)]
     merging: Merging,
 
-    /// Set which brackets share a brightness scale (`set`: of one panorama)
+    /// Use one brightness scale per bracket, per panorama or per run
     ///
     /// The value 1.0 stands for the same radiance in all results with the same scale. Panoramas can then be stitched
     #[arg(long, help_heading = MERGE, alias = "normalise", value_parser = choice::<Normalisation>(), default_value_t, value_name = "WHAT")]

@@ -12,7 +12,7 @@ use std::process::ExitCode;
 const AFTER_HELP: &str = "\
 Exit codes, the same as of cmp and diff:
   0  same within the tolerance, or accepted with --bless
-  1  different, also in size
+  1  different, or not of the same size
   2  error: wrong usage, a file that cannot be read or written, radiance compared with a picture
 
 Examples:

@@ -13,10 +13,13 @@ use std::process::ExitCode;
 
 const AFTER_HELP: &str = "\
 Files, for each photograph NAME:
-  NAME.threshold.png                       median threshold bitmap
+  NAME.threshold.png                       median threshold bitmap: pixels brighter than a grey
+                                           value (usually the median) are white, others black
   NAME.exclusion.png                       white: pixels that are compared; black: excluded pixels
-  NAME.keypoints.svg, .png                 keypoints of the photograph, of its bitmaps, or of both
-  NAME.matches.svg, .png                   matches with the reference frame, inliers and outliers
+  NAME.keypoints.svg, .png                 keypoints: distinctive details, found in the
+                                           photograph, in its bitmaps, or in both
+  NAME.matches.svg, .png                   keypoints that match one in the reference frame: inliers
+                                           (they agree on one motion) and outliers (they do not)
   NAME.xor.svg, .png                       curves: how many pixels differ at each rotation and shift
   NAME.edges.svg, .png                     edges of frame and reference, before and after alignment
 and tables.txt, tables.json with exposures, keypoints, matches, transforms and bitmaps.

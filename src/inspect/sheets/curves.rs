@@ -1,8 +1,8 @@
 //! Curves: the fraction of pixels that differ between two bitmaps, plotted over rotation and shift.
 //!
 //! In: [`XorCurves`]. Out: a drawing of three plots with the same vertical scale; the motion is marked in each. Cost:
-//! plotting some hundred numbers. Source: the thesis on which hdralign is based plots the XOR count over the angle.
-//! Here the count is divided by the number of compared pixels.
+//! plotting some hundred numbers. Source: the thesis that hdralign is based on plots the XOR count over the angle. Here
+//! the count is divided by the number of compared pixels.
 
 use super::layout::{Entry, Mark, Page, TEXT};
 use crate::align::diagnostics::{Curve, XorCurves};

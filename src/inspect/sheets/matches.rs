@@ -18,8 +18,7 @@ const GAP: f64 = 16.0;
 /// Height of the line of text above each frame, which names it, in pixels.
 const NAMES: f64 = 26.0;
 
-/// Returns n such that drawing a line for every n-th match gives at most [`MOST_LINES`] lines. It is the smallest
-/// such n.
+/// Returns the smallest n for which one line for every n-th match gives at most [`MOST_LINES`] lines.
 fn stride(matches: usize) -> usize {
     matches.div_ceil(MOST_LINES).max(1)
 }

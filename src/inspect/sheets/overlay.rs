@@ -3,7 +3,7 @@
 //!
 //! In: two frames and a transform. Out: an [`Overlay`]. It shows the whole picture. If the photographs are large
 //! enough, a row of details follows below, at twice their size, so that an offset of half a pixel is visible. Cost:
-//! that of drawing a sheet of edges (`views`), which has the same colours.
+//! drawing a sheet of edges (`views`), which has the same colours.
 
 use super::views::{BOX, Couple, DETAIL_GAP, Detail, MAGNIFIED, Views, two_colours};
 use crate::plane::Plane;

@@ -86,8 +86,8 @@ impl<'a> Views<'a> {
         Views { couple, reference, frame, size, details }
     }
 
-    /// Returns the strengths of the edges in `detail`: first those of the reference frame, then those of the other
-    /// frame in view `k` (0 is before alignment, 1 is after).
+    /// Returns the strengths of the edges in `detail`: first for the reference frame, then for the other frame in view
+    /// `k` (0 is before alignment, 1 is after).
     pub(super) fn strengths(&self, detail: &Detail, k: usize) -> Result<[Plane<u8>; 2], String> {
         let (warp, view) = &self.frame[k];
         let still = detail.grey(self.couple.reference, &Transform::Identity)?;

@@ -15,8 +15,8 @@ use crate::error::Result;
 
 /// Code values above this may be clipped, because JPEG changes clipped values a little.
 const CLIPPED: f32 = 248.0;
-/// Code values up to this much above the black of the response count as black: the camera has cut off the noise below
-/// black, so the mean of dark pixels is too bright.
+/// Code values count as black up to this many code values above the black of the response. The camera has cut off the
+/// noise below black, so the mean of dark pixels is too bright.
 const BLACK: f64 = 5.0;
 /// Standard deviation of a code value from rounding, JPEG and the sensor.
 const NOISE: f64 = 1.5;
@@ -146,14 +146,14 @@ pub fn average(layer: &Layer, region: Rect, side: usize, number: u16) -> Result<
 }
 
 /// Returns the positions, within a cell, of the blocks of 2x2 pixels that are read. In cells of up to 4x4 pixels all
-/// blocks are read. In larger cells four are read, with the second row of blocks shifted to other columns.
+/// blocks are read. In larger cells four blocks are read: two in one row and two in another row, in other columns.
 fn blocks(side: usize) -> Vec<(usize, usize)> {
     let (half, step) = (side / 2, (side / 4).max(1));
     let rows = (0..half).step_by(step).enumerate();
     rows.flat_map(|(i, b)| (0..half).step_by(step).map(move |a| (2 * (a + i % step), 2 * b))).collect()
 }
 
-/// As [`average`]; `of` returns for a stored code value and a channel the code value on the scale 0..=255, and its
+/// Like [`average`]. For a stored code value and a channel, `of` returns the code value on the scale 0..=255 and its
 /// radiance.
 fn averaged<T: Copy + Sync>(
     layer: &Layer,

@@ -1,9 +1,9 @@
-//! Evidence of motion: differences between a frame and the standard that exceed errors of noise, response and
-//! alignment.
+//! Evidence of motion: differences between a frame and the pixels that it is compared with, called the standard, that
+//! are larger than errors of noise, response and alignment.
 //!
-//! In: cells of a frame and of the standard. The standard is what the frame is compared with: the reference frame, or,
-//! where that is clipped or black, another frame that agrees with it. Out: for each cell whether it moved. Cost: some
-//! 100 ns per cell, and 100 more where it differs.
+//! In: cells of a frame and of the standard. The standard is the reference frame, or, where the reference is clipped or
+//! black, another frame that agrees with it. Out: for each cell whether it moved. Cost: some 100 ns per cell, and 100
+//! ns more for a cell that differs.
 //!
 //! The difference of a cell and channel is divided by its standard deviation: the root of the sum of the squares of
 //!
@@ -11,20 +11,21 @@
 //! - a share of the radiance, explained below;
 //! - the gradient times `ASTRAY` pixels, for errors of alignment and differences of sharpness at edges.
 //!
-//! The share of the radiance is at least `LEAST`, because response and exposures are not known more exactly. It is at
-//! least `SHIFTED` in cells with a clipped channel, because the camera mixes that channel into the other channels. If
-//! the spread that is [usual](super::usual) in the bracket is larger, the share is that spread (the usual bias is
-//! divided out first). `LEAST` times the excess of the brightest channel over the channel in question is added, because
-//! cameras and JPEG mix the channels differently at each exposure.
+//! The share of the radiance is at least `LEAST`, because response and exposures are not known more exactly. In cells
+//! with a clipped channel it is at least `SHIFTED`, because the camera mixes that channel into the other channels. If
+//! the [usual](super::usual) spread of the ratio of frame to standard is larger, the share is that spread. (The usual
+//! bias of the ratio is divided out first.) To this, `LEAST` times the difference between the brightest channel and
+//! this channel is added, because cameras and JPEG mix the channels differently at each exposure.
 //!
 //! A clipped or black cell is only a bound of the radiance, and differs only if the bound is violated. Differences are
-//! averaged over larger and larger cells, and the scale with the strongest mean decides how much a cell differs. From a
-//! limit on, which depends on the strength of deghosting, a cell differs certainly. A connected region of cells that
-//! differ by at least half of this limit has moved in either of two cases:
+//! averaged over larger and larger cells, and the strongest of these means decides how much the cell differs. A cell
+//! differs certainly if its difference reaches a limit that depends on the strength of deghosting. A connected region
+//! of cells that differ by at least half of this limit has moved in either of two cases:
 //!
-//! - A cell in it differs certainly, and its [structure](super::structure) differs too. The ratio of frame to standard
-//!   changes along the border of the region, on average by at least `EXPLAINED` times the limit.
-//! - The border of the region is long, and along it the ratio changes on average by at least half of the limit.
+//! - A cell in the region differs certainly, and its [structure](super::structure) differs too. In addition, the ratio
+//!   of frame to standard changes from the border cells of the region to their neighbours, on average by at least
+//!   `EXPLAINED` times the limit.
+//! - The border of the region is long, and this average change of the ratio is at least half of the limit.
 
 use super::cells::{Cell, Meaning};
 use super::region;
@@ -34,13 +35,14 @@ use crate::plane::Plane;
 use crate::pyramid::cells::row_between_cells;
 use crate::simd::log2;
 
-/// Two shares with the same value. First, the share of the radiance that is the lower limit of the standard deviation
-/// of a difference without motion. Second, the share of the brightest channel that may be mixed into another channel.
-/// The second share matters for saturated colours: lamp light on wood has sixteen times as much red as blue, so 6 % of
-/// the red is as much as all of the blue.
+/// A fraction with two uses. First: without motion, the standard deviation of a difference is at least this fraction of
+/// the radiance. Second: the camera may mix this fraction of the brightest channel into another channel. The second use
+/// matters for saturated colours: lamp light on wood has sixteen times as much red as blue, so 6 % of the red is as
+/// much as all of the blue.
 const LEAST: f32 = 0.06;
-/// Replaces the first share of [`LEAST`] in cells with a clipped channel. It is larger, because the camera has mixed
-/// the clipped channel into the others. Measured on saturated colours of four cameras.
+/// In cells with a clipped channel, the standard deviation of a difference is at least this fraction of the radiance.
+/// It is larger than [`LEAST`], because the camera has mixed the clipped channel into the others. Measured on saturated
+/// colours of four cameras.
 const SHIFTED: f32 = 0.25;
 /// Factor from a small relative difference to octaves: log2(1 + x) is about x log2(e).
 const OCTAVES: f32 = std::f32::consts::LOG2_E;
@@ -55,17 +57,18 @@ const SCALES: [f32; 4] = [1.0, 1.2, 1.6, 2.0];
 /// cells beside a moving object would differ, because the mean at the larger scale includes the object.
 const RAISE: f32 = 2.0;
 
-/// Smallest mean change of the ratio of frame to standard along the border of a region that moved, as a fraction of the
-/// limit from which on a cell differs certainly. At the default strength, this limit is 4 standard deviations, so the
-/// mean change must be at least 1.2 standard deviations. On twelve rendered brackets the mean change is 1.3 to 11
-/// around motion, and 0.6 to 1.1 around walls of another colour and where exposures are wrong.
+/// A region has moved only if the ratio of frame to standard changes, from the border cells of the region to their
+/// neighbours, by at least this on average. The unit is the difference at which a cell differs certainly: 4 standard
+/// deviations at the default strength. So the mean change must be at least 1.2 standard deviations. On twelve rendered
+/// brackets the mean change is 1.3 to 11 around motion, and 0.6 to 1.1 around walls of another colour and where
+/// exposures are wrong.
 const EXPLAINED: f32 = 0.3;
-/// Smallest number of border cells of a region that may count as moved although no cell in it differs certainly. If ten
-/// neighbouring cells are counted as one independent value, chance changes the mean over this many cells by less than
-/// 0.2 standard deviations.
+/// A region in which no cell differs certainly counts as moved only if it has at least this many border cells. Noise of
+/// neighbouring cells is similar. Even if ten of them count as only one independent value, noise changes the mean over
+/// this many cells by less than 0.2 standard deviations.
 const LONG: usize = 100;
 
-/// The standard, a frame, and the usual ratio of frame to standard.
+/// A frame, the standard that it is compared with, and the usual ratio of frame to standard.
 struct Pair<'a> {
     standard: &'a Plane<Cell>,
     frame: &'a Plane<Cell>,
@@ -76,7 +79,7 @@ struct Pair<'a> {
 
 /// One channel of a cell, in the standard and in the frame.
 struct Channel {
-    /// The radiance of the standard, and that of the frame divided by its usual bias.
+    /// First, the radiance of the standard. Second, the radiance of the frame divided by its usual bias.
     radiance: [f32; 2],
     /// The squares of the relative noise of the standard and of the frame.
     noise: [f32; 2],
@@ -84,7 +87,8 @@ struct Channel {
     spread: f32,
     /// Radiance that the camera may have mixed into this channel from the brightest channel.
     mixed: f32,
-    /// Whether standard or frame is only a bound of the radiance, and the other is within that bound.
+    /// Whether one of the two radiances is only a bound, and the other one is within that bound: then they do not
+    /// contradict each other.
     is_within: bool,
 }
 
@@ -144,8 +148,8 @@ impl Pair<'_> {
                     *ratio = Ratio::unknown();
                     continue;
                 }
-                // Twice [`SHIFTED`], for two reasons: the ratio itself is uncertain by this share, and at the edge
-                // between a clipped cell and its neighbour the ratio is off by as much again.
+                // [`SHIFTED`] is doubled: the ratio itself is uncertain by this share, and at the edge between a
+                // clipped cell and its neighbour the ratio is wrong by as much again.
                 let least = if s.clips() || f.clips() { 2.0 * SHIFTED } else { 0.0 };
                 for c in 0..3 {
                     let Channel { radiance: [a, b], noise, spread, mixed, is_within } = self.channel(s, f, c);
@@ -206,8 +210,8 @@ fn binomial(plane: &Plane<[f32; 3]>) -> Plane<[f32; 3]> {
     smooth
 }
 
-/// Returns the means of 2x2 cells; at an odd border, of the cells that exist ([`crate::pyramid::halve`] drops an odd
-/// border).
+/// Returns the means of 2x2 cells. If the width or height is odd, the last column or row is paired with itself
+/// ([`crate::pyramid::halve`] ignores it instead).
 fn halved(plane: &Plane<[f32; 3]>) -> Plane<[f32; 3]> {
     let (width, height) = (plane.width(), plane.height());
     Plane::from_rows(width.div_ceil(2), height.div_ceil(2), |y, row| {
@@ -219,8 +223,8 @@ fn halved(plane: &Plane<[f32; 3]>) -> Plane<[f32; 3]> {
     })
 }
 
-/// Returns for each cell whether `frame` shows something else than `standard`. `limits` are two differences in standard
-/// deviations: from the first on a cell may have moved, from the second on it differs certainly.
+/// Returns for each cell whether `frame` shows something else than `standard`. `limits` are two thresholds in standard
+/// deviations: a cell that reaches the first may have moved; a cell that reaches the second differs certainly.
 pub fn moved(
     standard: &Plane<Cell>,
     frame: &Plane<Cell>,

@@ -22,8 +22,8 @@ pub struct Ghosts {
     /// For each merged frame, by rising exposure: its path, and for each cell the factor on the weight, 0..=1, times
     /// 255. `None` for the reference frame and for frames with assumed transforms.
     pub(super) frames: Vec<(String, Option<Plane<u8>>)>,
-    /// Radiance continued from the surroundings, where the reference frame is clipped and all shorter frames are
-    /// removed.
+    /// Radiance that is interpolated from the surroundings, where the reference frame is clipped and all shorter frames
+    /// are removed.
     pub(super) holes: Option<Holes>,
 }
 
@@ -35,7 +35,7 @@ pub struct GhostReport {
     /// Share of the cells of the result in which deghosting reduced the weight of at least one frame by more than half.
     pub ghost_fraction: f64,
     /// Share of the cells of the result in which the reference frame is clipped and the shorter frames are removed, so
-    /// that radiance is continued from the surroundings.
+    /// that radiance is interpolated from the surroundings.
     pub continued_fraction: f64,
     /// The frames that were compared, by rising exposure: all but the reference frame and those with assumed
     /// transforms.
@@ -124,8 +124,8 @@ impl Ghosts {
         kept
     }
 
-    /// In the merged `pixels`, replaces radiance by that of the surroundings, where the reference frame is clipped and
-    /// all shorter frames are removed. `pixels` are whole rows, from row `first` of the region on.
+    /// Fills the merged `pixels` from their surroundings where the reference frame is clipped and all shorter frames
+    /// are removed. `pixels` are whole rows; the first one is row `first` of the region.
     pub(crate) fn fill(&self, first: usize, pixels: &mut [[f32; 3]]) {
         if let Some(holes) = &self.holes {
             for (y, row) in pixels.chunks_exact_mut(self.region.width()).enumerate() {
@@ -169,7 +169,7 @@ impl Ghosts {
             Plane::from_vec(width.div_ceil(self.side), height.div_ceil(self.side), any)
         };
         let mut parts = region::parts(&any);
-        // The sort is stable: of equally large parts, the one that begins further up comes first.
+        // The sort is stable: among equally large parts, the part that begins further up comes first.
         parts.sort_by_key(|part| std::cmp::Reverse(part.len()));
         let region = |part: &Vec<(usize, usize)>| {
             let range = |of: &dyn Fn(&(usize, usize)) -> usize, size: usize| {

@@ -1,14 +1,15 @@
 //! Holes: places where the reference is clipped, and the shorter frames show motion.
 //!
 //! In: for each cell the radiance of the reference and of the shorter frames, and their weights. Out: [`Holes`]:
-//! radiance that continues the surroundings, and its weight. Cost: about 100 ns per cell if there are holes, and 20 ns
-//! per pixel in them. Source: the pull-push algorithm of Gortler et al. 1996, "The Lumigraph", section 3.4.2.
+//! radiance that is interpolated from the surroundings, and its weight. Cost: about 100 ns per cell if there are holes,
+//! and 20 ns per pixel in them. Source: the pull-push algorithm of Gortler et al. 1996, "The Lumigraph", section 3.4.2.
 //!
 //! A clipped reference gives only a lower bound of the radiance. If the shorter frames show a moving object in front of
 //! a bright sky, no frame shows the sky there, and the mean would be a grey patch in the shape of the object. But the
-//! connected clipped surroundings are about as bright. Therefore the logarithm of their radiance is continued into the
-//! hole from the nearest known cells, channel by channel. This also restores the colour, which clipped pixels have
-//! lost. The continuation never makes the brightest channel darker, and is used only where the reference is clipped.
+//! connected clipped surroundings are about as bright. Therefore the hole is filled from the nearest known cells of
+//! these surroundings, by interpolating the logarithm of radiance, channel by channel. This also restores the colour,
+//! which clipped pixels have lost. Filling never makes the brightest channel darker, and is used only where the
+//! reference is clipped.
 
 use super::cells::Cell;
 use super::region;
@@ -18,15 +19,15 @@ use crate::plane::Plane;
 use crate::pyramid::cells::row_between_cells;
 use crate::response::ResponseCurve;
 
-/// The continuation into the holes.
+/// The radiance that fills the holes.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Holes {
     /// Radiance by cells, for each channel.
     radiance: [Plane<f32>; 3],
     /// Weight of that radiance in each cell, times 255.
     counts: Plane<u8>,
-    /// For each channel, the radiance from which on the reference may be clipped, and the radiance from which on it is
-    /// certainly clipped.
+    /// For each channel, two limits: the reference may be clipped above the first radiance, and is certainly clipped
+    /// above the second.
     clips: [(f32, f32); 3],
 }
 
@@ -127,8 +128,8 @@ impl Shorter {
         holes.map(|holes| Holes { clips, ..holes })
     }
 
-    /// Returns the radiance of channel `c`. It is known in cells with `weights` of 1, and continued into the other
-    /// cells.
+    /// Returns the radiance of channel `c`. It is known in cells with `weights` of 1, and interpolated from them in the
+    /// other cells.
     fn continued(&self, c: usize, weights: &Plane<f32>) -> Plane<f32> {
         let stops = Plane::from_rows(weights.width(), weights.height(), |y, row: &mut [f32]| {
             for ((v, known), weight) in row.iter_mut().zip(self.known.row(y)).zip(weights.row(y)) {
@@ -174,13 +175,13 @@ impl Holes {
                 ((pixel[c] - begins) / (sure - begins)).clamp(0.0, 1.0)
             });
             let white = clipped.into_iter().fold(1.0, f32::min);
-            // `shown` is the fraction of the continued radiance (`more`) that is used. A channel that is not clipped
-            // limits it to pixel / more, a clipped one does not limit it, and a partly clipped one is in between.
+            // `shown` is the fraction of the interpolated radiance `more` that is used. An unclipped channel limits
+            // `shown` to pixel / more. A clipped channel does not limit it. A partly clipped channel limits it less.
             let shown = |c: usize| 1.0 - (1.0 - clipped[c]) * (1.0 - pixel[c] / more[c].max(FLOOR)).max(0.0);
             let shown = shown(0).min(shown(1)).min(shown(2));
             // A pixel that is white in all channels has lost its colour, but its brightest channel is a lower bound of
-            // the radiance. Therefore `scale` brightens the continued radiance until its brightest channel reaches that
-            // bound.
+            // the radiance. Therefore `scale` brightens the interpolated radiance until its brightest channel reaches
+            // that bound.
             let most = |of: [f32; 3]| of.into_iter().fold(FLOOR, f32::max);
             let scale = (most(*pixel) / most(more)).max(1.0);
             for c in 0..3 {
@@ -199,8 +200,8 @@ fn row<T: Copy>(cells: &Plane<T>, side: usize, value: impl Fn(T) -> f32, y: usiz
     row
 }
 
-/// Returns `values` where `weights` (0..=1) are 1, elsewhere the mean of the smallest neighbourhood with known values.
-/// Without any known value it returns 0.
+/// Returns `values` where `weights` (0..=1) are 1. Elsewhere returns the mean of the smallest neighbourhood that has
+/// known values, or 0 if no value is known.
 fn continued(values: &Plane<f32>, weights: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (values.width(), values.height());
     if width * height <= 1 {
@@ -243,8 +244,8 @@ mod tests {
         });
         let all = continued(&ramp, &weights);
         assert!((0..20).chain(40..64).all(|x| all.at(x, 30) == ramp.at(x, 30)));
-        // The ramp rises from 2 to 4 across the gap of 20 cells. The gap is filled with means over at most 32 cells, so
-        // the ramp is followed only roughly.
+        // The ramp rises from 2 to 4 across the gap of 20 cells. The gap is filled with means of up to 32 cells, so it
+        // agrees with the ramp only roughly.
         assert!((20..40).all(|x| (all.at(x, 30) - 0.1 * x as f32).abs() < 0.8), "{:?}", all.row(30));
         assert!((20..40).all(|x| all.at(x, 30) >= all.at(x - 1, 30) - 0.15), "{:?}", all.row(30));
     }

@@ -4,23 +4,24 @@
 //! Cost: some 200 ns of one core for each cell of each frame, and 200 more if something differs; this is about 4 ns per
 //! pixel of a frame of 12 MP. Memory: 156 bytes per cell, whatever the number of frames, plus one byte for each cell of
 //! each frame, two if the frame is shorter than the reference. There are at most 262,144 cells, or more beyond 16 MP.
-//! Source: comparing each frame with the reference frame in units of noise is from Ward's hdrgen (option `-g`). The
-//! noise model, the standard that replaces a clipped reference (step 2), the scales and the edge criterion are ours.
+//! Source: comparing each frame with the reference frame in units of noise is from Ward's hdrgen (option `-g`). Four
+//! things are ours: the noise model, the use of another frame where the reference is clipped (step 2), the scales, and
+//! the edge criterion.
 //!
 //! 1. For every frame, the mean radiance is computed in cells of 2x2 pixels (4x4 and 8x8 in large pictures): `cells`.
-//! 2. Each frame is compared, cell by cell, with a standard: frame by frame from the reference towards the shorter
-//!    exposures, then towards the longer ones. The standard is the reference frame; where that is clipped, black or
-//!    noisy, it is the nearest frame that agrees with it. A clipped or black code value is only a bound of the
+//! 2. Each frame is compared, cell by cell, with the standard: the reference frame, or, where the reference is clipped,
+//!    black or noisy, the nearest frame that agrees with it. The order is from the reference towards the shorter
+//!    exposures, then from the reference towards the longer ones. A clipped or black code value is only a bound of the
 //!    radiance. Differences between frame and standard that are usual in the whole picture are not motion: `usual`.
 //! 3. The differences, in units of their standard deviation and with their signs, are averaged over larger and larger
 //!    cells: errors of alignment, noise and JPEG cancel, motion adds up. The cell size with the strongest mean decides,
 //!    for all three channels together: `evidence`.
-//! 4. A difference is motion if either the standard or the frame has an edge there, but not both: `structure`. A
-//!    connected region that differs and has such an edge all around is removed completely, with a soft border:
-//!    `region`. A bracket without motion gives the same bytes as without deghosting.
+//! 4. A difference is motion if only one of the two, standard or frame, has an edge there: `structure`. A connected
+//!    region that differs and has such an edge all around is removed completely, with a soft border: `region`. A
+//!    bracket without motion gives the same bytes as without deghosting.
 //! 5. Where something moved, shorter frames that are black are removed too, because black agrees with any dark object.
-//! 6. Where the reference frame is clipped and the shorter frames are removed, radiance is continued from the clipped
-//!    surroundings: `holes`.
+//! 6. Where the reference frame is clipped and the shorter frames are removed, radiance is interpolated from the
+//!    clipped surroundings: `holes`.
 //!
 //! hdrgen's weight e^2 / (e^2 + d^2), with e = 0.08 and the difference d from the reference, is not used, because it
 //! treats noise as motion: on five rendered brackets with motion, its PU21-PSNR is 2 to 20 dB lower than without
@@ -55,10 +56,10 @@ const LARGEST: usize = 8;
 /// Half the width, in cells, of the widest gap in a motion mask that is closed. There are gaps because parts of a
 /// moving object may look like the background.
 const GAP: usize = 3;
-/// Width, in cells, of the margin around a motion mask that is removed too, because there the edge of the object is
-/// mixed with the background.
+/// Width, in cells, of a margin around a motion mask. The margin is removed too, because there the edge of the object
+/// is mixed with the background.
 const MARGIN: usize = 2;
-/// Width, in cells, of the zone around a motion mask in which cells still contain the edge of the moving object.
+/// Cells up to this distance, in cells, from a motion mask may still contain the edge of the moving object.
 const EDGE: usize = 1;
 /// Half the width of the soft border, in cells.
 const FADE: usize = 2;
@@ -131,8 +132,8 @@ impl fmt::Display for Deghost {
     }
 }
 
-/// Returns two thresholds in standard deviations: from the first on a cell may have moved, from the second on it
-/// differs certainly.
+/// Returns two thresholds in standard deviations: a cell that reaches the first may have moved; a cell that reaches the
+/// second differs certainly.
 fn limits(strength: f64) -> (f32, f32) {
     let scale = libm::exp2(1.0 - 2.0 * strength) as f32;
     (2.0 * scale, 4.0 * scale)
@@ -235,8 +236,8 @@ fn underexposed(frame: &Plane<Cell>, reference: &Plane<Cell>) -> Plane<bool> {
     })
 }
 
-/// Reduces the weight of frames where they are `black` to the smallest weight that any frame has there. Otherwise a
-/// wall that is black in a short frame would be merged with a person in front of it in another frame.
+/// In the cells where a frame is `black`, reduces its weight to the smallest weight that any frame has there. Otherwise
+/// a wall that is black in a short frame would be merged with a person in front of it in another frame.
 fn leave_out_underexposed(frames: &mut [(String, Option<Plane<u8>>)], black: &[(usize, Plane<bool>)]) {
     let Some((_, first)) = black.first() else { return };
     let mut least = vec![u8::MAX; first.as_slice().len()];
@@ -253,7 +254,7 @@ fn leave_out_underexposed(frames: &mut [(String, Option<Plane<u8>>)], black: &[(
 
 /// Gives a shorter frame its full weight outside of `moved`, where the reference frame is white and the shorter frame
 /// shows at least as much radiance. Otherwise a white spot would remain around the moving object. Where the shorter
-/// frame shows less radiance, as in the soft edge of a moving object, radiance is [continued](holes) from the
+/// frame shows less radiance, as in the soft edge of a moving object, radiance is [interpolated](holes) from the
 /// surroundings.
 fn keep_beside(kept: &mut Plane<u8>, moved: &Plane<bool>, (frame, reference): (&Plane<Cell>, &Plane<Cell>)) {
     kept.fill_rows(|y, row| {
@@ -277,8 +278,9 @@ fn side(region: Rect) -> usize {
     side
 }
 
-/// In cells where `frame` did not move, `frame` becomes the standard if there is no standard, if the standard is only a
-/// bound of the radiance, or if the standard is much noisier than the frame.
+/// Updates `standard`, the cells that the next frames are compared with. A cell of `frame` that did not move replaces
+/// the cell of the standard in three cases: the standard has no value there, its value is only a bound of the radiance,
+/// or it is much noisier than the frame.
 fn take_over(standard: &mut Plane<Cell>, frame: &Plane<Cell>, moved: &Plane<bool>, meanings: &[&Meaning]) {
     standard.fill_rows(|y, row| {
         for ((s, f), moved) in row.iter_mut().zip(frame.row(y)).zip(moved.row(y)) {

@@ -59,12 +59,12 @@ pub fn closed(plane: &Plane<bool>, reach: usize) -> Plane<bool> {
     not(grown_by(&not(grown_by(plane, reach)), reach))
 }
 
-/// Returns the factor on the weight of a frame, times 255: 0 within `reach` cells of the true cells of `plane`, rising
-/// to 255 over the next `2 * fade` cells.
+/// Returns the factor, times 255, by which the weight of a frame is multiplied. It is 0 up to a distance of `reach`
+/// cells from the true cells of `plane`, and rises to 255 within the next `2 * fade` cells.
 pub fn kept(plane: &Plane<bool>, reach: usize, fade: usize) -> Plane<u8> {
     let (width, height) = (plane.width(), plane.height());
-    // The mean below extends `fade` cells to either side, so cells must be excluded up to `reach + fade` for a weight
-    // of 0 within `reach`.
+    // The mean below extends `fade` cells to either side. So cells up to a distance of `reach + fade` are excluded, to
+    // get a weight of 0 up to a distance of `reach`.
     let wide = grown_by(plane, reach + fade);
     let free = Plane::from_vec(width, height, wide.as_slice().iter().map(|&is| usize::from(!is)).collect());
     let free = gathered(&free, fade, |sum, number| *sum += number);

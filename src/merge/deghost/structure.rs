@@ -1,30 +1,32 @@
-//! Structure: edges that only the frame has, or only the standard. The standard is what the frame is compared with.
+//! Structure: edges that only one of two frames shows: the frame in question, or the standard, with which it is
+//! compared.
 //!
-//! In: for each cell the standard's log radiance, and the frame's difference from it. Out: for each cell the
-//! significance of motion, in standard deviations. Cost: about 40 ns per cell, and 0.5 us for each cell that is
+//! In: for each cell, log2 of the standard's radiance, and log2 of the ratio of frame to standard. Out: for each cell
+//! the significance of motion, in standard deviations. Cost: about 40 ns per cell, and 0.5 us for each cell that is
 //! queried.
 //!
 //! A difference alone does not distinguish motion from effects that one response for all frames cannot describe:
 //! vignetting that changes with the f-number, veiling glare, saturated colours, local tone mapping. Such effects are
 //! smooth, or change at an edge that both frame and standard show. A moving object has edges that only one of them
-//! shows. Therefore the change of the log ratio between neighbouring cells is compared with the noise, and with the
-//! smaller of the two changes that frame and standard show there.
+//! shows. Therefore the change of the log ratio between neighbouring cells is compared with two numbers: the noise, and
+//! the change of the radiance of frame or standard there, whichever is smaller.
 
 use crate::plane::Plane;
 
-/// Standard deviation of the change of the log ratio from one cell to the next that is assumed even without noise and
-/// edges, in octaves: half of the share of the radiance by which frames may differ without motion.
+/// Standard deviation, in octaves, of the change of the log ratio from one cell to the next. It is assumed even where
+/// there is neither noise nor an edge. It is about half of 6 % (0.084 octaves), by which frames may differ without
+/// motion.
 const LEAST: f32 = 0.04;
 /// If frame and standard both change at an edge, the two changes may differ by this fraction of the smaller one,
 /// because of response, sharpness and colour processing.
 const COMMON: f32 = 0.35;
 /// Number of scales at which cells are compared: the cells themselves, and means of 2, 4 and 8 cells square.
 const SCALES: usize = 4;
-/// Number of scales, from the smallest on, over which the mean change along the border of a difference is computed. The
-/// largest scale is omitted, because many moving objects are as small as one of its cells.
+/// Number of scales that are used for the mean change at the border of a region: the smallest ones. The largest scale
+/// is omitted, because many moving objects are as small as one of its cells.
 const SMALLER: usize = 3;
-/// Variance of the mean of four cells, as a fraction of the variance of a cell: between 1/4 for independent cells and 1
-/// for equal ones.
+/// Variance of the mean of four cells divided by the variance of one cell. It would be 1/4 if the cells were
+/// independent, and 1 if they were equal.
 const LEFT: f32 = 0.5;
 
 /// The compared values of a cell, for each channel.
@@ -73,8 +75,8 @@ fn halved(plane: &Plane<Ratio>) -> Plane<Ratio> {
     })
 }
 
-/// Returns how much the ratio changes between the middle two of four cells in a line, in standard deviations. Changes
-/// that frame and standard have in common count little.
+/// Returns how much the ratio changes between the middle two of four cells in a line, in standard deviations. At an
+/// edge that both frame and standard show, the standard deviation is larger.
 fn change(line: [&Ratio; 4]) -> f32 {
     let mut most = 0.0f32;
     for c in 0..3 {
@@ -165,8 +167,8 @@ mod tests {
         // The first scene has an edge only in the frame, the second only in the standard.
         assert!(found(|_, _| 0.0, |x, _| half(x)) >= 64);
         assert!(found(|x, _| half(x), |x, _| -half(x)) >= 64);
-        // The first scene has an edge in both, which is higher in the frame by a third (in stops). The second has no
-        // edge, but the frame becomes brighter towards one side, by half at most.
+        // In the first scene, frame and standard have an edge at the same place; in stops, it is higher by a third in
+        // the frame. The second scene has no edge, but the frame becomes brighter towards one side.
         assert_eq!(found(|x, _| half(x), |x, _| 0.33 * half(x)), 0);
         assert_eq!(found(|_, _| 0.0, |x, _| 0.6 * x as f32 / 32.0), 0);
         // An edge that is displaced by a cell in the frame counts as the same edge.

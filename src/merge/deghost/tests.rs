@@ -119,8 +119,8 @@ fn clipped_reference_is_continued_where_shorter_frames_show_motion() {
     let scale = f64::from(found.at(20, 20)[1]) / sky(20, 20)[1];
     for (x, y) in [(120, 90), (110, 80), (135, 95), (98, 90), (142, 90)] {
         // The tolerance of 12 % has two parts. A difference of one code value is 2 % of the radiance at code value 120.
-        // And radiance is continued from means over at most 64 pixels, over which the sky differs by up to a tenth from
-        // its mean.
+        // And the hole is filled with means of areas that are at most 64 pixels wide. In such an area, the sky differs
+        // from its mean by up to a tenth.
         let expected = scale * sky(x, y)[1];
         assert!(
             (f64::from(found.at(x, y)[1]) / expected - 1.0).abs() < 0.12,
@@ -131,7 +131,7 @@ fn clipped_reference_is_continued_where_shorter_frames_show_motion() {
     let fraction = ghosts.report().continued_fraction;
     // The disc is 4.2 % of the picture, and a margin of up to 14 pixels around it is also removed.
     assert!((0.04..0.1).contains(&fraction), "{fraction}");
-    // The ground is merged as without deghosting. In a static bracket nothing is continued.
+    // The ground is merged as without deghosting. In a bracket without motion nothing is filled.
     assert_eq!(found.row(170), merged(&bracket, &alignment, None).row(170));
     let (still, alignment) = self::bracket([&sky; 3]);
     assert_eq!(seek(&still, &alignment).report().continued_fraction, 0.0);
@@ -154,8 +154,8 @@ fn continuation_has_the_surrounding_colour_without_seam() {
     let lit = found.at(10, 90);
     let share = |x: usize| [0, 1, 2].map(|c| found.at(x, 90)[c] / lit[c]);
     for x in 60..180 {
-        // The outer part of the shadow's edge is brighter than the clipping level of the reference, which is a third of
-        // the sunlight in red. So this part is not motion and remains; it has at least half of the sunlight.
+        // The outer part of the shadow's edge is brighter than the clipping level of the reference. In red, this level
+        // is a third of the sunlight. So this part is not motion and remains; it has at least half of the sunlight.
         let [r, g, b] = share(x);
         assert!(r > 0.5 && (g / r - 1.0).abs() < 0.04 && (b / r - 1.0).abs() < 0.04, "{x}: {:?}", share(x));
         // The tolerance allows for the edge of the shadow, which rises by 0.04 per pixel.
@@ -177,7 +177,8 @@ fn bright_object_beside_motion_keeps_its_shape() {
     let ghosts = seek(&bracket, &alignment);
     assert!(ghosts.report().ghost_fraction > 0.02);
     let (found, plain) = (merged(&bracket, &alignment, Some(&ghosts)), merged(&bracket, &alignment, None));
-    // The continuation is at most the geometric mean of both kinds of bars, which is 22 % above the darker ones.
+    // The radiance that fills the hole is at most the geometric mean of both kinds of bars, which is 22 % above the
+    // darker bars.
     let ratio = |x| found.at(x, 56)[1] / plain.at(x, 56)[1];
     assert!((100..140).all(|x| (1.0..1.1).contains(&ratio(x))), "{:?}", &found.row(56)[100..140]);
     assert!(found.at(120, 90)[0] < 0.5 * plain.at(120, 90)[0]);
@@ -246,8 +247,8 @@ fn a_mover_before_a_wall_whose_colour_misfits_does_not_take_the_wall_along() {
 
 #[test]
 fn clipping_in_a_locally_processed_frame_is_no_bound() {
-    // The reference clips the sky at 1; the shortest frame shows something darker there, such as a window after a
-    // phone's local gain, or a moving object.
+    // The reference clips the sky at 1. The shortest frame shows something darker there, such as a window that a phone
+    // has darkened, or a moving object.
     let sky = |_: usize, _: usize| [2.5, 2.6, 2.8];
     let darker = |x, y| if disc(x, y, (120, 90)) { [0.3, 0.2, 0.2] } else { sky(x, y) };
     let (bracket, alignment) = bracket([&darker, &sky, &sky]);
@@ -348,13 +349,15 @@ fn factors_between_cells_are_bilinear() {
         holes: None,
     };
     let kept = ghosts.kept(0, 1..3);
-    // By hand: cell centres are at pixels 0.5, 2.5, 4.5 and rows 0.5, 2.5. Row 1 is a quarter of the way from the first
-    // row of centres to the second, pixel 2 three quarters of the way from the first centre to the second.
+    // By hand: the cells are centred on columns 0.5, 2.5 and 4.5, and on rows 0.5 and 2.5. Row 1 is a quarter of the
+    // way from the first row of centres to the second. Column 2 is three quarters of the way from the first column of
+    // centres to the second.
     let (left, right) = (0.25 * 0.4, 0.75);
     assert!((kept[2] - (0.25 * left + 0.75 * right)).abs() < 1e-6, "{kept:?}");
     assert!((kept[0] - 0.1).abs() < 1e-6);
     assert_eq!((kept.len(), ghosts.kept(1, 0..4).len()), (10, 0));
-    // Only one frame is compared with the reference, so the mask is the share of that frame that is removed.
+    // Only one frame is compared with the reference, so the mask is the fraction of this frame's weight that is
+    // removed.
     assert_eq!(ghosts.mask().at(0, 1), (255.0f32 * 0.9 + 0.5) as u8);
 }
 

@@ -1,8 +1,8 @@
-//! The usual difference between a frame and the standard where nothing moved.
+//! The usual difference, where nothing moved, between a frame and the standard with which it is compared.
 //!
-//! In: cells of a frame and of the standard, which the frame is compared with. Out: for each channel and level of
-//! radiance, the median of the ratio of frame to standard, which is the error of the response, and the spread of this
-//! ratio, which is due to noise and alignment. Cost: about 10 ns per cell.
+//! In: cells of a frame and of the standard. Out: the median and the spread of the ratio of frame to standard, for each
+//! channel and level of radiance. The median is the error of the response; the spread is due to noise and alignment.
+//! Cost: about 10 ns per cell.
 
 use super::cells::Cell;
 use crate::plane::{Plane, fold_bands};
@@ -16,12 +16,12 @@ const MOST_BIAS: f32 = 1.5;
 const LEVELS: usize = 64;
 /// Index of the level of radiance 1.
 const UNIT_LEVEL: f32 = 40.0;
-/// Number of bins of the histogram of ratios of two radiances. It reaches from two stops below 1 to two stops above.
+/// Number of bins of the histogram of ratios of two radiances. The histogram is for ratios from 1/4 to 4.
 const RATIOS: usize = 128;
 /// Right shift from the bits of a ratio to its bin: floats with the same exponent and the same first five bits of the
 /// mantissa share a bin.
 const RATIO_SHIFT: u32 = 18;
-/// Number of cells in a level at which half of the measured bias is corrected.
+/// In a level of radiance with this many cells, half of the measured bias is corrected; with more cells, more of it.
 const FEW: f32 = 400.0;
 
 /// Approximates log2: exact at powers of 2 and linear between them, so monotone, and the same on any machine.
@@ -36,7 +36,7 @@ pub fn level(a: f32, b: f32) -> f32 {
     (log2_linear(a) + log2_linear(b) + UNIT_LEVEL).clamp(0.0, (LEVELS - 1) as f32)
 }
 
-/// Bias and spread of a frame relative to the standard, by channel and level.
+/// Bias and spread of the ratio of a frame to the standard, by channel and level of radiance.
 pub struct Usual {
     /// Median ratio of frame to standard.
     bias: [[f32; LEVELS]; 3],
@@ -45,7 +45,7 @@ pub struct Usual {
 }
 
 impl Usual {
-    /// Estimates bias and spread of `frame` relative to `standard`, over the whole picture.
+    /// Estimates bias and spread of the ratio of `frame` to `standard` from the whole picture.
     pub fn of(standard: &Plane<Cell>, frame: &Plane<Cell>) -> Self {
         let bin = |c: usize, level: usize, ratio: usize| (c * LEVELS + level) * RATIOS + ratio;
         let first = (1.0f32.to_bits() >> RATIO_SHIFT) - RATIOS as u32 / 2;
@@ -128,7 +128,7 @@ mod tests {
             assert_eq!(log2_linear(libm::exp2f(e as f32)), e as f32);
         }
         let x = |i: usize| libm::exp2f(i as f32 / 50.0 - 10.0);
-        // Between powers of 2 the approximation is too small by at most 0.0861.
+        // The approximation is exact at powers of 2. Between them it is too small, by at most 0.0861.
         assert!((1..1000).all(|i| log2_linear(x(i)) > log2_linear(x(i - 1))));
         assert!((0..1000).all(|i| (log2_linear(x(i)) - (i as f32 / 50.0 - 10.0)).abs() < 0.0862));
     }

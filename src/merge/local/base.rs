@@ -1,11 +1,11 @@
 //! The base of a locally processed frame, and the curve with which the phone compressed it.
 //!
 //! In: the logarithm of each frame's exposure on cells. Out: for each cell the base as a function of the logarithm of a
-//! pixel, and the curve from the base of a frame to that of the scene. Cost: two box filters over at most 256 x 256
-//! cells for each frame, and some passes over the cells of each pair of frames. Source: base and detail as in Durand &
-//! Dorsey 2002. The base is the result of the guided filter (He, Sun & Tang 2013) on the logarithm of luminance, guided
-//! by itself, computed on cells and interpolated (He & Sun 2015). The curve is recovered like a camera response
-//! (Debevec & Malik 1997), from bases instead of code values.
+//! pixel, and the curve that maps the base of a frame to the base of the scene. Cost: two box filters over at most 256
+//! x 256 cells for each frame, and some passes over the cells of each pair of frames. Source: base and detail as in
+//! Durand & Dorsey 2002. The base is the result of the guided filter (He, Sun & Tang 2013) on the logarithm of
+//! luminance, guided by itself, computed on cells and interpolated (He & Sun 2015). The curve is recovered like a
+//! camera response (Debevec & Malik 1997), from bases instead of code values.
 //!
 //! A local tone mapping compresses the base and keeps the details. An edge of several stops is part of the base,
 //! otherwise there would be halos. A phone renders each frame independently. The rendering of a base depends only on
@@ -20,24 +20,26 @@ use nalgebra::{SMatrix, SVector};
 /// Longer side of the picture divided by the radius of the filter: a neighbourhood is a twelfth of the longer side
 /// wide.
 const RADIUS: usize = 24;
-/// Variance, in square stops, at which half of a difference belongs to the base (epsilon of the guided filter): that of
-/// an edge of 2.8 stops between equal halves. On 12 rendered brackets of phones, 4 instead of 2 lowers the PU21-PSNR of
-/// details by 0.4 dB.
+/// Epsilon of the guided filter, in square stops: in a neighbourhood with this variance, half of a difference belongs
+/// to the base. An edge of 2.8 stops through the middle of the neighbourhood has this variance. On 12 rendered brackets
+/// of phones, 4 instead of 2 lowers the PU21-PSNR of details by 0.4 dB.
 const EDGE: f32 = 2.0;
-/// Number of knots of the curve: at least one for each stop that an 8-bit frame shows.
+/// The curve is linear between this many values of the frame's base (knots): at least one for each stop that an 8-bit
+/// frame shows.
 const KNOTS: usize = 13;
-/// Weight of the curve's squared second derivative relative to the mean squared error. On the 12 brackets of [`EDGE`],
-/// dividing or multiplying this weight by five changes the PU21-PSNR of details by 0.1 dB.
+/// Weight of the curve's squared second derivative; the mean squared error has weight 1. On the 12 brackets of
+/// [`EDGE`], dividing or multiplying this weight by five changes the PU21-PSNR of details by 0.1 dB.
 const SMOOTH: f64 = 0.01;
-/// Number of passes of least squares; in all but the first, cells with motion have less weight.
+/// Number of passes of least squares. In the first pass all cells have the same weight; in the others, cells with
+/// motion have less.
 const PASSES: usize = 6;
-/// Reach of Tukey's biweight in robust standard deviations.
+/// Tukey's biweight is 0 for errors of at least this many robust standard deviations.
 const REACH: f64 = 4.685;
 /// Smallest standard deviation of a difference of two bases, in stops: about half of the error of 6 % (0.09 stops) that
 /// deghosting assumes for a cell.
 const LEAST: f64 = 0.05;
-/// Range of the slope of the scene's base as a function of the frame's base. The slope is at least 1, because a phone
-/// compresses and never expands. A slope above the range would amplify noise.
+/// Allowed range of the slope of the curve, in stops of the scene's base per stop of the frame's base. The slope is at
+/// least 1, because a phone compresses and never expands. A slope above the range would amplify noise.
 const SLOPES: (f64, f64) = (1.0, 2.5);
 /// Smallest number of pairs from which the curve is determined.
 const FEWEST: usize = 100;
@@ -101,7 +103,8 @@ impl BaseCurve {
         }
         let mut bases: Vec<f32> = pairs.iter().flat_map(|pair| [pair.bases.0, pair.bases.1]).collect();
         bases.sort_by(f32::total_cmp);
-        // The knots span all but the darkest and the brightest 0.5 % of the bases, which would extend the curve far.
+        // The knots span the bases without the darkest and the brightest 0.5 %, because these few would extend the
+        // curve far.
         let few = bases.len() / 200;
         let (low, step) = (bases[few], (bases[bases.len() - 1 - few] - bases[few]) / (KNOTS - 1) as f32);
         if step <= f32::EPSILON {
@@ -120,7 +123,7 @@ impl BaseCurve {
         Some(curve)
     }
 
-    /// Looks up, for the value `v` of a frame's base, the value of the scene's base minus `v`.
+    /// Returns the scene's base minus the frame's base, in stops, where the frame's base is `v`.
     #[inline(always)]
     pub fn at(&self, v: f32) -> f32 {
         let along = (v - self.low) / self.step;
@@ -134,16 +137,16 @@ impl BaseCurve {
     }
 }
 
-/// Returns the scene's base at the knots of the frame's base, which begin at `low` with a spacing of `step`: by
-/// smoothed, reweighted least squares.
+/// Fits the scene's base as a function of the frame's base, by smoothed, reweighted least squares. Returns the value of
+/// this function at [`KNOTS`] values of the frame's base: `low`, `low + step` and so on.
 fn fitted(pairs: &[Pair], low: f64, step: f64) -> Option<SVector<f64, KNOTS>> {
     let between = |v: f32| {
         let along = ((f64::from(v) - low) / step).clamp(0.0, (KNOTS - 1) as f64);
         let k = (along as usize).min(KNOTS - 2);
         (k, along - k as f64)
     };
-    // The equation of a pair: the scene's base at the longer frame's base, minus the scene's base at the shorter
-    // frame's base, is the difference of the exposures. Both are interpolated between two knots.
+    // The equation of a pair: f(base of the longer frame) - f(base of the shorter frame) = difference of the exposures.
+    // f is the fitted function; its values are interpolated between two knots.
     let row = |pair: &Pair| {
         let ((i, f), (j, g)) = (between(pair.bases.0), between(pair.bases.1));
         [(j, 1.0 - g), (j + 1, g), (i, f - 1.0), (i + 1, -f)]
@@ -197,8 +200,8 @@ mod tests {
     fn curve_of_bases_inverts_the_phone_in_spite_of_motion() {
         let curve = BaseCurve::of(&pairs());
         let slope = |v: f32| 1.0 + (curve.at(v + 0.1) - curve.at(v - 0.1)) / 0.2;
-        // The frame's base is -4 at a scene base of -4, and -1.5 at 1: the expected slope is 2 between -4 and -1.5, and
-        // 1 elsewhere. The knots are 0.7 stops apart.
+        // A scene base of -4 becomes a frame base of -4, and a scene base of 1 becomes -1.5. So the expected slope is 2
+        // for frame bases between -4 and -1.5, and 1 elsewhere. The knots are 0.7 stops apart.
         for (v, expected) in [(-5.3, 1.0), (-3.0, 2.0), (-2.5, 2.0), (-0.2, 1.0)] {
             assert!((slope(v) - expected).abs() < 0.25, "{v}: {} {curve:?}", slope(v));
         }

@@ -38,10 +38,10 @@ use std::path::Path;
 const CELLS: usize = 256;
 /// Weights of R, G and B in the luminance (Rec. 709) that determines the gain, which is the same for all channels.
 const LUMINANCE: [f32; 3] = crate::merge::radiance::statistics::BT709;
-/// A phone brightens short exposures, so the pixels of two frames differ by only a fraction of the exposure step. This
-/// is the largest median fraction that is assumed. If the sRGB curve gives a larger fraction, it has more stops between
-/// two code values than the curve of the phone. Measured with truth.py: of 26 phone brackets with a curve close to
-/// sRGB's, 23 have a fraction of 0.46 to 0.58.
+/// A phone brightens short exposures, so the pixels of two frames differ by only a fraction of their exposure step.
+/// This constant is the largest median of this fraction that phones are assumed to have. If the fraction is larger when
+/// it is measured with the sRGB curve, then sRGB has more stops between two code values than the curve of the phone.
+/// Measured with truth.py: of 26 phone brackets with a curve close to sRGB's, 23 have a fraction of 0.46 to 0.58.
 const MOST_FRACTION: f64 = 0.6;
 
 /// Factors for the radiance of each frame over a region of the reference frame.
@@ -72,18 +72,18 @@ struct Processed {
 pub struct LocalReport {
     /// Whether the frames were tone-mapped locally, so that they were merged with a local gain.
     pub locally_processed: bool,
-    /// Median fraction of an exposure step by which the frames differ.
+    /// Median, over the picture, of the difference of two frames divided by their exposure step.
     pub exposure_step_fraction: f64,
     /// Standard deviation over the picture, in stops, of the ratio of two frames at the same code value.
     pub variation_stops: f64,
-    /// Mean number of stops to which a stop of the frames was expanded, for structures larger than a neighbourhood; 1
-    /// without expansion.
+    /// Mean expansion of structures that are larger than a neighbourhood, in stops of the result per stop of the
+    /// frames; 1 without expansion.
     pub expansion: f64,
     /// The frames except the reference, by rising exposure; empty if frames are not locally processed.
     pub frames: Vec<LocalFrame>,
 }
 
-/// The gain of one frame relative to the reference, in addition to the exposure.
+/// The gain of one frame divided by the gain of the reference. The difference of their exposures is not included.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct LocalFrame {
     /// Path of the file, as given.
@@ -101,8 +101,8 @@ pub fn curve(evidence: &Evidence) -> ResponseCurve {
 }
 
 /// Returns the number, 1 or more, by which the stops between the code values of sRGB are divided. It is the smallest
-/// number for which two conditions hold. At no brightness level do two frames differ by more than their exposure step;
-/// and the median difference over the picture is at most [`MOST_FRACTION`] of the step.
+/// number with which two conditions hold: two frames differ by at most their exposure step at every brightness level,
+/// and their median difference is at most [`MOST_FRACTION`] of the step.
 fn power(evidence: &Evidence) -> f64 {
     evidence.most_step_fraction.max(evidence.step_fraction / MOST_FRACTION).max(1.0)
 }
@@ -126,14 +126,15 @@ impl LocalReport {
     }
 }
 
-/// Returns the smallest power of 2, at least 2, of which no more than `most` fit along the longer side of `region`.
+/// Returns the side of a cell: the smallest power of 2, at least 2, with which the longer side of `region` has at most
+/// `most` cells.
 fn side(region: Rect, most: usize) -> usize {
     let longer = region.width().max(region.height());
     std::iter::successors(Some(2), |side| Some(2 * side)).find(|side| longer.div_ceil(*side) <= most).unwrap_or(2)
 }
 
-/// Whether the content of a cell is known: not if a channel is clipped, because a phone leaves clipped pixels white,
-/// and not if all channels are black.
+/// Whether the content of a cell is known. It is unknown if a channel is clipped, because a phone leaves clipped pixels
+/// white, or if all channels are black.
 fn is_known(cell: &Cell) -> bool {
     !(cell.is_outside() || cell.clips() || (0..3).all(|c| cell.is_black(c)))
 }
@@ -205,7 +206,7 @@ impl LocalGain {
         factors
     }
 
-    /// As [`at`](LocalGain::at), divided by the factors of the reference; empty for the reference.
+    /// Like [`at`](LocalGain::at), but divided by the factors of the reference; empty for the reference.
     pub fn against_reference(&self, layer: usize, rows: Range<usize>) -> Vec<f32> {
         if layer == self.reference {
             return Vec::new();
@@ -237,16 +238,15 @@ impl LocalGain {
         vectorised(Factors { layer, row, base, curve: &self.curve, factors });
     }
 
-    /// Adjusts the range of the photographs to the expanded radiance. The highlights of the shortest frame become
-    /// brighter by the curve's value at white, so the radiance at its middle code value is multiplied by the same
-    /// factor.
+    /// Adjusts the range of the photographs to the expanded radiance. The local gain brightens the highlights of the
+    /// shortest frame by the value of the curve at white. So `shortest` is multiplied by the same factor.
     pub fn photographed(&self, photographed: Photographed) -> Photographed {
         let lacks = self.curve.at(photographed.white_stops as f32);
         Photographed { shortest: photographed.shortest * libm::exp2(f64::from(lacks)), ..photographed }
     }
 
-    /// Returns the range of the gain of each frame except the reference, by rising exposure, over the cells that are
-    /// known in the frame and in the reference.
+    /// Returns the range of the gain of each frame except the reference, by rising exposure. Only cells that are known
+    /// in both the frame and the reference are used.
     fn report(&self) -> Vec<LocalFrame> {
         let Some(reference) = self.frames.get(self.reference) else { return Vec::new() };
         let of = |frame: &Processed| {

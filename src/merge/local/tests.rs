@@ -84,15 +84,15 @@ fn contrast(map: &Plane<[f32; 3]>, first: (usize, usize), second: (usize, usize)
 fn gain_gives_back_the_scenes_contrast_small_and_large_and_across_an_edge() {
     let (bracket, alignment) = frames(0.45);
     let [with, without] = merged(&bracket, &alignment);
-    // The pairs of places are within the texture, along the room's shade, across the edge of the window, and from the
-    // room to the middle of the window.
+    // Four pairs of places are compared: two places in the texture, two places in the shading of the room, the two
+    // sides of the edge of the window, and the room and the middle of the window.
     let places = [((40, 100), (68, 100)), ((20, 30), (180, 200)), ((196, 110), (204, 110)), ((120, 110), (250, 110))];
     for (first, second) in places {
         let truth = libm::log2(scene(second.0, second.1) / scene(first.0, first.1));
         let error = |map| (contrast(map, first, second) - truth).abs();
-        // The tolerance is large because of the window: the frames keep 0.45 of the 5.9 stops from the room to the
-        // window, which is 2.7. If half of a neighbourhood is on either side of such an edge, the variance of the
-        // logarithm is 1.8, so that only half of the edge belongs to the base.
+        // The tolerance is large because of the window. From the room to the window there are 5.9 stops, and the frames
+        // keep 0.45 of them: 2.7 stops. In a neighbourhood with such an edge in its middle, the variance of the
+        // logarithm is 1.8, so only half of the edge belongs to the base.
         assert!(error(&with) < 0.1 + 0.3 * truth.abs(), "{first:?} {second:?}: {truth}, {} off", error(&with));
         assert!(truth.abs() < 2.0 || error(&without) > 1.1 * error(&with), "{first:?} {second:?}: {}", error(&without));
     }

@@ -3,7 +3,7 @@
 //! In: a [`Calibration`], the reference frame and the response. Out: the luminance of radiance 1, or `None` if radiance
 //! stays relative. Cost: one multiplication per value. Source: the constant is that of Greg Ward's hdrgen,
 //! [`CAMERA_CONSTANT`]. For comparison, ISO 12232:2019, section 6.2, derives 78 / 0.65 = 120 N^2 / (t S) for
-//! saturation-based speeds. Without the half stop that it leaves for highlights, that is 85 N^2 / (t S).
+//! saturation-based speeds. The standard leaves half a stop for highlights; without it, the constant is 85 N^2 / (t S).
 //!
 //! The largest code value of a frame with exposure time t in s, f-number N and sensitivity S stands for the luminance L
 //! below. t, N and S are not the rounded values of EXIF but the exact steps of the camera; t S / N^2 includes the
@@ -29,8 +29,8 @@ use serde::Serialize;
 /// Luminance of the largest code value times t S / N^2, in cd/m2 s.
 pub const CAMERA_CONSTANT: f64 = 87.0;
 
-/// A factor on radiance or luminance, from 1e-20 to 1e20. The sun is only about 1e14 times as bright as starlight;
-/// results of larger factors may exceed the range of `f32`.
+/// A factor from 1e-20 to 1e20 by which radiance or luminance is multiplied. This range is sufficient: the sun is about
+/// 1e14 times as bright as starlight. With larger factors, results may exceed the range of `f32`.
 #[doc(hidden)]
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Factor(f64);

@@ -9,12 +9,12 @@
 //! Flare is the picture convolved with a point spread that falls off with the distance r as 1 / r^k, from 2 cells on; a
 //! cell is 1/256 of the longer side. Light that is scattered less far is not estimated.
 //!
-//! Let s be the share of light that is scattered. No place is darker than the flare there, so s is at most the minimum,
-//! over the cells, of (luminance of the dark parts of a cell) / (flare there for s = 1). A scene without black parts
-//! and without flare has such a minimum too, but then the dark parts do not become brighter where flare is stronger.
-//! Therefore the cells are sorted into 24 bins by the strength of flare. Flare is found if in at least 6 bins, which
-//! span at least a stop, the darkest cells give nearly the same share, and this share is typical of lenses. k is the
-//! exponent for which most bins do so.
+//! Let s be the share of light that is scattered. No place is darker than the flare there. So s is at most (luminance
+//! of the dark parts of a cell) / (flare in this cell for s = 1) in every cell, and at most the minimum of these
+//! quotients. A scene without black parts and without flare has such a minimum too, but its dark parts are not brighter
+//! in cells with stronger flare. Therefore the cells are sorted into 24 bins by the strength of flare. Flare is found
+//! if the darkest cells of at least 6 bins give nearly the same share, these bins span at least a stop, and the share
+//! is typical of lenses. Among the exponents that are tried, k is the one with the most such bins.
 
 use crate::merge::radiance::statistics::{BT709, luminance};
 use crate::merge::{FLOOR, RadianceMap};
@@ -34,8 +34,8 @@ const NEAREST: f64 = 2.0;
 const EXPONENTS: [f64; 4] = [1.5, 2.0, 2.5, 3.0];
 /// Number of bins into which cells are sorted by the strength of the flare.
 const BINS: usize = 24;
-/// Shares of the darkest values that are ignored as outliers: the first of the cells of a bin, the second of the pixels
-/// of a cell.
+/// Fractions of the darkest values that are ignored as outliers: the first number is for the cells of a bin, the second
+/// for the pixels of a cell.
 const DARKER: (f64, f64) = (0.005, 0.05);
 /// A bin supports flare if its share of scattered light is within this factor of the minimum over all bins.
 const NEAR: f64 = 1.35;
@@ -131,7 +131,8 @@ impl Cells {
         let mut best: Option<(Support, f64)> = None;
         for exponent in EXPONENTS {
             let found = support(&dark, &grey.times(&spread(exponent)).values(size));
-            // If exponents have equal support, the first and smallest is kept: its flare reaches farthest.
+            // If two exponents have equal support, the smaller one is kept, which comes first: its flare reaches
+            // farther.
             if best.as_ref().is_none_or(|(b, _)| (found.bins, found.stops) > (b.bins, b.stops)) {
                 best = Some((found, exponent));
             }

@@ -1,7 +1,7 @@
 //! Normalisation: one unit of radiance for many brackets, so that they can be compared and stitched.
 //!
-//! In: the relative exposure t ISO / N^2, in s, that radiance 1 shall refer to, and the reference frame. Out: the
-//! factor on radiance. Cost: one multiplication per value, by
+//! In: the relative exposure t ISO / N^2, in s, at which radiance 1 shall give the middle code value, and the reference
+//! frame. Out: the factor on radiance. Cost: one multiplication per value, by
 //! [`calibration::calibrate`](crate::merge::radiance::calibration::calibrate).
 //!
 //! Merged radiance r refers to the exposure h of the reference frame: radiance 1 gives the frame its middle code value.
@@ -58,7 +58,8 @@ pub fn check(reference: &Frame) -> Result<()> {
     ))
 }
 
-/// Returns the factor from radiance relative to `reference_exposure` to radiance relative to `unit_exposure`.
+/// Returns the factor by which radiance is multiplied, so that radiance 1 gives the middle code value at
+/// `unit_exposure` instead of `reference_exposure`.
 pub fn factor(unit_exposure: f64, reference_exposure: f64) -> f64 {
     unit_exposure / reference_exposure
 }

@@ -1,4 +1,4 @@
-//! How the photographs displayed the radiance (brightness and contrast), for tone mapping and for headers.
+//! Brightness and contrast with which the photographs displayed the radiance, for tone mapping and for headers.
 //!
 //! In: the exposures of the merged frames, and the response. Out: [`Photographed`], which headers carry as a comment.
 //! Cost: none.
@@ -13,8 +13,7 @@ pub struct Photographed {
     /// Radiance at the middle code value of the longest exposure, which shows the shadows.
     pub longest: f64,
     /// Radiance at the middle code value of the shortest exposure, which shows the highlights. For locally processed
-    /// frames: radiance at the middle code value of an exposure that would show the expanded highlights as bright as
-    /// they are in the shortest frame.
+    /// frames, it is multiplied by the factor by which the local gain brightens white in the shortest frame.
     pub shortest: f64,
     /// Displayed contrast below the middle code value, in displayed stops per stop of the scene: 1 to 1.85. Cameras
     /// increase contrast, and with it saturation.
@@ -23,10 +22,10 @@ pub struct Photographed {
     pub white_stops: f64,
 }
 
-/// Code values from which the contrast is computed: the darker half, without the darkest.
+/// Code values from which the contrast is computed: the darker half, without the darkest code values.
 const DARKER: std::ops::RangeInclusive<usize> = 24..=128;
-/// Smallest and largest contrast. Code values with a larger contrast are not made for a display: linear code values
-/// have 1.93.
+/// Smallest and largest contrast. If the contrast is larger, the code values are not made for a display: linear code
+/// values have a contrast of 1.93.
 const CONTRASTS: (f64, f64) = (1.0, 1.85);
 /// Smallest and largest number of stops from the middle code value to white; sRGB has 2.2.
 const WHITES: (f64, f64) = (1.2, 6.0);
@@ -70,8 +69,8 @@ impl Photographed {
     }
 }
 
-/// Returns the slope of displayed luminance over scene luminance on logarithmic axes, by least squares over the darker
-/// code values; 1 if the code values are not made for displays.
+/// Fits a line to the logarithm of displayed luminance as a function of the logarithm of scene luminance, over the
+/// darker code values, and returns its slope. Returns 1 if the code values are not made for displays.
 fn contrast(curve: &ResponseCurve) -> f64 {
     let (mut n, mut x, mut y, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
     for (channel, code) in (0..3).flat_map(|channel| DARKER.map(move |code| (channel, code))) {

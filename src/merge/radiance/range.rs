@@ -2,10 +2,11 @@
 //!
 //! In: a bracket, its alignment and the response. Out: two radiances. Cost: the noise of the longest frame, 5 ms.
 //!
-//! The floor is the radiance at which signal and noise of the merged radiance are equal, with inverse variances as
-//! weights: 1 / sigma^2 = sum_j (dt_j / (sigma_Z dX/dZ))^2, where sigma_Z is the noise of a code value. In frames of 8
-//! bits, JPEG and noise lift black by up to 6 code values (`LIFT`). There, code values up to 6 above black are not
-//! counted, because their radiance is not that of the scene. In frames of 16 bits all code values above black count.
+//! The floor is the radiance that equals its own noise sigma after merging with inverse variances as weights: 1 /
+//! sigma^2 = sum_j (dt_j / (sigma_Z dX/dZ))^2. Here sigma_Z is the noise of a code value, dX/dZ the slope of the
+//! response, and dt_j the exposure of frame j divided by the exposure of the reference frame. In frames of 8 bits, JPEG
+//! and noise lift black by up to 6 code values (`LIFT`). There, code values up to 6 above black are not counted,
+//! because their radiance is not that of the scene. In frames of 16 bits all code values above black count.
 
 use crate::align::Alignment;
 use crate::bracket::{Bracket, Frame};
@@ -18,7 +19,8 @@ use serde::Serialize;
 
 /// Number of steps per stop of the search for the floor.
 const PER_STOP: usize = 16;
-/// Range of the search below the clipping of the longest frame, in stops. 16-bit code values have fewer.
+/// The floor is searched down to this many stops below the clipping of the longest frame. 16-bit code values have fewer
+/// stops.
 const DEEPEST: usize = 20;
 
 /// The limits of reliable radiance, in the unit of the radiance.
@@ -63,7 +65,7 @@ impl Limits {
         Ok(floor.map(|noise_floor| Limits { noise_floor, clipping: clips(shortest) }))
     }
 
-    /// Returns the limits in a unit that is `factor` times smaller.
+    /// Returns the limits multiplied by `factor`.
     pub fn times(self, factor: f64) -> Limits {
         Limits { noise_floor: self.noise_floor * factor, clipping: self.clipping * factor }
     }
@@ -158,7 +160,7 @@ mod tests {
             let bracket = Bracket::new(frames, &ReferenceChoice::Number(1)).unwrap();
             let limits = Limits::of(&bracket, &Alignment::unmoved(&bracket), &curve).unwrap().unwrap();
             let range = libm::log2(limits.clipping / limits.noise_floor);
-            // The noise is measured from the lower quartile of the blocks, which is a tenth below the true noise.
+            // The noise is estimated by the lower quartile of the blocks, which is a tenth below the true noise.
             assert!((range - 2.0 - stops).abs() < 0.3, "{sigma}: {range}");
         }
     }

@@ -1,8 +1,8 @@
 //! Statistics of a radiance map.
 //!
-//! In: radiance. Out: the range and percentiles of its luminance. Cost: one pass. Percentiles are from a histogram
-//! whose bins are floats with equal exponent and first seven bits: 128 per octave, without logarithms, and the same on
-//! any machine.
+//! In: radiance. Out: the range and percentiles of its luminance. Cost: one pass. Percentiles are from a histogram. A
+//! bin contains the floats with the same exponent and the same first seven bits of the mantissa. So there are 128 bins
+//! per octave, no logarithms are needed, and the result is the same on any machine.
 
 use crate::merge::radiance::calibration::Unit;
 use crate::plane::{BAND_ROWS, Plane};
@@ -11,7 +11,7 @@ use serde::Serialize;
 
 /// Number of low bits of a float that are ignored.
 const DROPPED: u32 = 16;
-/// Number of bins: one for each positive float without the ignored bits.
+/// Number of bins: one for each combination of the bits of a positive float that are not ignored.
 const BINS: usize = 1 << (31 - DROPPED);
 
 /// Range and percentiles of luminance, in the unit of the map.

@@ -1,8 +1,7 @@
 //! What shows the quality of the alignment on the page: overlay, bitmaps, XOR curves, keypoints and matches.
 //!
-//! In: an [`Inspection`]. Out: pictures and SVG. Cost: that of the inspection's overlays and some small pictures.
-//! Source: Ward 2003, section 2 (bitmaps); Lowe 2004 (keypoints); the figures of chapter 4 of the thesis on which
-//! hdralign is based.
+//! In: an [`Inspection`]. Out: pictures and SVG. Cost: the inspection's overlays and some small pictures. Source: Ward
+//! 2003, section 2 (bitmaps); Lowe 2004 (keypoints); the figures of chapter 4 of the thesis that hdralign is based on.
 
 use crate::align::diagnostics::{Curve, FrameBitmaps, Matching, XorCurves};
 use crate::align::features::Keypoint;
@@ -63,7 +62,7 @@ pub(in crate::page) struct Xor {
     pub plots: [String; 3],
 }
 
-/// The edges of a frame, drawn over those of the reference.
+/// The edges of a frame, drawn over the edges of the reference.
 #[derive(Debug, Clone)]
 pub(in crate::page) struct Overlay {
     pub before: Picture,
@@ -135,7 +134,7 @@ pub(in crate::page) fn gather(
 }
 
 /// Returns a reduced picture of the bitmaps, with 0 for dark, 1 for bright and 2 for excluded pixels. Each value is
-/// that of the bitmap pixel in the middle of the reduced pixel.
+/// copied from the bitmap pixel in the middle of the reduced pixel.
 fn three_levels(bitmaps: &FrameBitmaps) -> Plane<u8> {
     let (threshold, exclusion) = (&bitmaps.bitmaps.threshold, &bitmaps.bitmaps.exclusion);
     let full = (threshold.width(), threshold.height());

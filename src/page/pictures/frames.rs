@@ -1,6 +1,6 @@
 //! Frames: the part of each frame that the result shows, reduced for the page.
 //!
-//! In: a frame and its transform. Out: its pixels on the grid of the result, reduced. Cost: that of resampling.
+//! In: a frame and its transform. Out: its pixels on the grid of the result, reduced. Cost: resampling.
 
 use crate::align::resampling::{resample_rows, rows_under};
 use crate::align::{Rect, Transform};

@@ -32,7 +32,7 @@ const OPAQUE: f64 = 130.0;
 /// Number of steps of opacity of `BRIGHTER`, and of `DARKER`.
 const STEPS: i32 = 7;
 
-/// Maps of the local gain of each frame relative to the reference.
+/// Maps of the local gain of each frame, divided by the local gain of the reference.
 #[derive(Debug, Clone)]
 pub(in crate::page) struct Local {
     /// Gain in stops, up or down, that is shown by the strongest colours.

@@ -8,9 +8,9 @@ use crate::merge::local::LocalReport;
 use crate::page::markup::{escape, file_name, percent, signed};
 use crate::report::{FrameReport, Report};
 
-/// Alignment error in px below which no error can be seen in the result.
+/// An alignment error below this, in px, cannot be seen in the result.
 const UNSEEN_PX: f64 = 0.3;
-/// Alignment error in px from which on fine detail may be blurred.
+/// With an alignment error of at least this, in px, fine detail may be blurred.
 const SOFT_PX: f64 = 1.0;
 /// Smallest share of the picture that is mentioned, for example of pixels that are cropped or clipped.
 const WORTH: f64 = 0.005;

@@ -1,7 +1,8 @@
 //! Samples of the brackets of one camera, one after the other.
 //!
-//! In: the photographs of each bracket. Out: for each bracket samples of its flat places, limited so that those of all
-//! brackets fit into memory, and its section of the report. Cost: loading and aligning.
+//! In: the photographs of each bracket. Out: for each bracket its section of the report, and samples of its flat
+//! places. The number of samples is limited, so that the samples of all brackets fit into memory. Cost: loading and
+//! aligning.
 
 use super::super::stages::Run;
 use super::super::threads::in_pool;

@@ -1,8 +1,8 @@
 //! Exposure fusion: from the aligned frames to a picture, without radiance.
 //!
-//! In: a bracket and its alignment. Out: the picture, encoded in its colour space. Cost: that of the fusion, and of
-//! resampling each frame twice. If something moved, resampling a frame includes resampling the reference and all
-//! frames between the frame and the reference.
+//! In: a bracket and its alignment. Out: the picture, encoded in its colour space. Cost: the fusion, and resampling
+//! each frame twice. If something moved, resampling a frame includes resampling the reference and all frames between
+//! the frame and the reference.
 
 use crate::align::Transform;
 use crate::align::resampling::{OUTSIDE, resample_rows, rows_under};

@@ -1,7 +1,7 @@
 //! The stages of a run, with the time of each and the warnings so far.
 //!
-//! In: [`Options`], and for each stage the result of the previous one. Out: the input of the next stage; at the end
-//! the report. Cost: that of the stages.
+//! In: [`Options`], and for each stage the result of the previous one. Out: the input of the next stage; at the end the
+//! report. Cost: the stages.
 
 pub(crate) mod fusion;
 pub(crate) mod picture;

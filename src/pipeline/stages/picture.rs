@@ -1,7 +1,7 @@
 //! The picture: computes its rows with all requested adjustments.
 //!
-//! In: radiance, or the fused frames. Out: code values of rows. Cost: one pass over the input; one more over a part of
-//! it if the white balance is estimated; then that of the operator and of the adjustments.
+//! In: radiance, or the fused frames. Out: code values of rows. Cost: one pass over the input; if the white balance is
+//! estimated, another pass over a part of it; the operator; and the adjustments.
 
 use crate::bracket::colour::{Primaries, srgb_to_linear};
 use crate::error::{Result, Warning};

@@ -1,8 +1,7 @@
 //! Merging: radiance in the colour space and the unit of the results.
 //!
-//! In: aligned frames and the response. Out: [`Radiance`], with rows in memory or, if memory is limited, on disk.
-//! Cost: that of merging, deghosting and the flare estimate; on disk also that of writing and reading 12 bytes per
-//! pixel.
+//! In: aligned frames and the response. Out: [`Radiance`], with rows in memory or, if memory is limited, on disk. Cost:
+//! merging, deghosting and the flare estimate; on disk also writing and reading 12 bytes per pixel.
 
 use crate::bracket::Bracket;
 use crate::bracket::colour::Primaries;

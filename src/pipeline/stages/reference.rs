@@ -1,7 +1,7 @@
 //! Alignment: to the reference of the bracket or, if that fails, to another frame.
 //!
-//! In: a bracket. Out: its alignment, and the bracket with the reference that was used. Cost: that of the alignment;
-//! up to three times as much if at least half of the frames are rejected.
+//! In: a bracket. Out: its alignment, and the bracket with the reference that was used. Cost: the alignment; up to
+//! three times as much if at least half of the frames are rejected.
 //!
 //! By default the reference is the frame with the most pixels that are neither clipped nor black. If that frame shows
 //! another scene, is mirrored, or somebody walked through it, all other frames are rejected although only the

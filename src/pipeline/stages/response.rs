@@ -1,8 +1,8 @@
 //! Response: corrects the exposures, and determines the response of the camera.
 //!
 //! In: an aligned bracket, and a saved response, if given. Out: a [`Camera`], and warnings if the saved response is of
-//! another camera, if the frames contradict it, or if no curve fits the frames. Cost: that of sampling the frames and
-//! fitting the curve, some tenths of a second.
+//! another camera, if the frames contradict it, or if no curve fits the frames. Cost: sampling the frames and fitting
+//! the curve, some tenths of a second.
 
 use crate::align::AlignMode;
 use crate::bracket::{Bracket, Capture};

@@ -1,8 +1,8 @@
 //! The results: radiance and picture are written to their files, some hundred rows at a time.
 //!
-//! In: radiance, in one or several parts, and the source of its picture, which may be smaller. Out: every result
-//! file, complete but not yet named. Cost: that of tone mapping and of the encoders. Memory: rows of the picture, and
-//! buffers of the encoders.
+//! In: radiance, in one or several parts, and the source of its picture, which may be smaller. Out: every result file,
+//! complete but not yet named. Cost: tone mapping and the encoders. Memory: rows of the picture, and buffers of the
+//! encoders.
 
 use crate::bracket::colour::Primaries;
 use crate::error::Result;

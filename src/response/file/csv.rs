@@ -14,8 +14,9 @@
 //! ```
 //!
 //! Values are relative exposures with nine decimals, 1 at the brightest code. Other programs write 0 for black codes;
-//! when read, exposures of 0 are replaced by values that rise from a quarter of the first positive exposure, the same
-//! ratio as at code 0 of the built-in curves. If a matrix has more than 256 rows, 256 evenly spaced ones are used.
+//! when a file is read, exposures of 0 are replaced by values that rise from a quarter of the first positive exposure.
+//! A quarter is also the ratio of code 0 to code 1 in the built-in curves. If a matrix has more than 256 rows, 256
+//! evenly spaced ones are used.
 
 use crate::response::fit::monotone;
 use crate::response::{BLACK, CODES, MID, ResponseCurve};

@@ -21,7 +21,7 @@ use std::fmt::Write;
 
 /// The highest degree that hdrgen reads.
 const MOST_DEGREE: usize = 5;
-/// Codes over which the residual is computed: the weights of a merge are close to 0 outside of them.
+/// The residual is computed from these codes. The weights of a merge are close to 0 for other codes.
 const JUDGED: std::ops::RangeInclusive<usize> = 10..=245;
 
 /// Upper limit of the weight 1 / exposure, where white has the exposure 1. It is reached nine stops below white; for
@@ -98,8 +98,8 @@ pub(crate) fn write(curve: &ResponseCurve) -> Option<String> {
 /// Returns the increasing polynomial of this degree, highest power first, that is closest to exp(g) in stops, weighted
 /// by the hat; and its root mean square distance in stops.
 ///
-/// The result is the closest of all polynomials if that one increases. Otherwise it is the closest sum of cumulative
-/// Bernstein polynomials (see [`bernstein_sums`]) with non-negative weights, which increases everywhere.
+/// The result is the closest polynomial of this degree, if it increases everywhere. Otherwise it is the closest sum of
+/// cumulative Bernstein polynomials (see [`bernstein_sums`]) with non-negative weights: such a sum always increases.
 fn fit(g: &[f64; CODES], degree: usize) -> Option<(Vec<f64>, f64)> {
     let columns = bernstein_sums(degree);
     // Because of d ln x = dx / x, least squares with the weights 1 / x minimise the error of the logarithm. The weight
@@ -176,8 +176,8 @@ fn evaluate(coefficients: &[f64], x: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Returns the root mean square difference of two curves in stops, over codes 10..=245 of all channels, after one
-    /// curve is shifted by the constant that makes the difference smallest.
+    /// Shifts one curve by the constant that brings it closest to the other. Returns the root mean square of the
+    /// remaining difference over codes 10..=245 of all channels, in stops.
     fn difference(a: &ResponseCurve, b: &ResponseCurve) -> f64 {
         let d: Vec<f64> = (0..3)
             .flat_map(|c| JUDGED.map(move |z| (c, z)))

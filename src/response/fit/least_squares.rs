@@ -1,13 +1,14 @@
 //! Least squares by orthogonal transformations.
 //!
 //! In: weighted equations, row by row. Out: the unknowns, and the condition of the equations. Cost: 2 n^2 operations
-//! per row for n unknowns, about 4 us for 47, and one singular value decomposition of n x n; the memory is that of a
+//! per row for n unknowns (about 4 us for n = 47), and one singular value decomposition of an n x n matrix. Memory: a
 //! few hundred rows, however many are added. Source: Golub & Van Loan, "Matrix Computations", sections 5.2
 //! (Householder), 5.3 (full-rank least squares) and 5.4 (R-SVD).
 //!
-//! Rows are folded into a triangle R by Householder reflections: R has the singular values of the whole matrix and
-//! the same solution, up to the rounding of an `f64`. The normal equations A'A would square the singular values and
-//! lose half of the digits. The singular values decide whether there is a solution: see [`fit::determined`].
+//! Householder reflections combine the rows into a triangular matrix R. Apart from the rounding of `f64`, R has the
+//! same singular values and the same solution as the matrix of all rows. The normal equations A'A would square the
+//! singular values and lose half of the digits. The singular values decide whether there is a solution: see
+//! [`fit::determined`].
 
 use crate::response::fit::{self, Fitted};
 use nalgebra::{DMatrix, SVD};
@@ -66,9 +67,9 @@ impl LeastSquares {
     }
 }
 
-/// Eliminates an unknown that is only in the weighted `rows` of one place, each `width` long, by the Householder
-/// reflection that turns its column `own` into the first axis. The first row then contains the unknown and is
-/// dropped. Returns the other rows, which are orthogonal to `own`: one fewer.
+/// Eliminates an unknown that occurs only in the weighted `rows` of one place, each `width` long. `own` is the column
+/// of this unknown. A Householder reflection makes all elements of `own` but the first 0. So only the first row still
+/// contains the unknown, and is dropped. Returns the other rows.
 pub fn eliminate<'a>(rows: &'a mut [f64], width: usize, own: &mut [f64]) -> &'a [f64] {
     let norm = own.iter().map(|v| v * v).sum::<f64>().sqrt();
     if norm > 0.0 {

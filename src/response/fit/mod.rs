@@ -15,13 +15,14 @@ use crate::error::{Error, Result};
 use crate::statistics::{self, MEDIAN_DEVIATION, median};
 use std::f64::consts::LN_2;
 
-/// Smallest rise of g per code: far below the accuracy that matters, and enough to invert g.
+/// Smallest rise of g per code. It is far below the accuracy that matters, but large enough that g can be inverted.
 const RISE: f64 = 1e-5;
 /// Smallest number of samples from which the response of a channel is recovered.
 const FEWEST: usize = 24;
 /// Smallest range of the samples' codes from which a response is recovered.
 const SPAN: f64 = 96.0;
-/// Smallest range of exposures, first to last, from which a response is recovered, in stops.
+/// A response is recovered only if the shortest and the longest exposure of the samples differ by at least this many
+/// stops.
 const STEP: f64 = 0.3;
 /// Largest condition number of a least-squares problem. Above it, the solution is noise: singular values below 1e-5 of
 /// the largest count as 0. In directions that the codes do not determine, singular values should be 0. But codes have
@@ -31,9 +32,9 @@ const CONDITION: f64 = 1e5;
 /// Range of stops from code 16 to code 240 that a camera may have. For comparison: the sRGB curve has 7.4 stops, a
 /// linear curve 3.9, a scan of print film 10.
 const CONTRAST: (f64, f64) = (1.5, 16.0);
-/// Any range of this many codes between 16 and 240 must span at least this many stops. For comparison: with the
-/// smallest [`CONTRAST`], spread evenly over the codes, such a range spans 0.43 stops. If samples contradict each
-/// other, the fitted curve falls, and making it monotone leaves it flat.
+/// Any range of this many codes between 16 and 240 must span at least this many stops. For comparison: in a curve with
+/// the smallest [`CONTRAST`] and the same slope at all codes, such a range spans 0.43 stops. The limit detects samples
+/// that contradict each other: they make the fitted curve fall, and it becomes flat when it is made monotone.
 const FLAT: (usize, f64) = (64, 0.1);
 /// Largest root mean square residual of a valid model, in stops.
 pub(super) const RESIDUAL: f64 = 0.5;
@@ -44,7 +45,7 @@ pub type Fitted<T> = std::result::Result<T, String>;
 /// The fit of a model to the samples of a channel.
 #[derive(Debug, Clone)]
 pub struct Found {
-    /// ln(E dt) at codes 0..=255, up to a constant, and not yet rising everywhere.
+    /// ln(E dt) at codes 0..=255, plus an unknown constant. It may still fall in places.
     pub g: [f64; CODES],
     /// Weight of each sample, 0..=1.
     pub trust: Vec<f64>,
@@ -233,14 +234,13 @@ pub mod scene {
         (0..count).map(place).filter(|s| s.views.len() >= 2).collect()
     }
 
-    /// Returns the root mean square difference in stops, over codes 10..=245, between `g` and the logarithm of
-    /// `exposure`, after `g` is shifted by the constant that makes the difference smallest.
+    /// Shifts `g` by the constant that brings it closest to the logarithm of `exposure`. Returns the root mean square
+    /// of the remaining difference over codes 10..=245, in stops.
     pub fn difference(g: &[f64; CODES], exposure: impl Fn(f64) -> f64) -> f64 {
         difference_from(10, g, exposure)
     }
 
-    /// Returns the difference as [`difference`] does, but over codes `from`..=245, because `g` is not determined below
-    /// `from`.
+    /// Same as [`difference`], but over codes `from`..=245, because `g` is not determined below `from`.
     pub fn difference_from(from: usize, g: &[f64; CODES], exposure: impl Fn(f64) -> f64) -> f64 {
         let d: Vec<f64> = (from..=245).map(|z| stops(g[z] - libm::log(exposure(z as f64 / 255.0)))).collect();
         let mean = d.iter().sum::<f64>() / d.len() as f64;

@@ -1,11 +1,11 @@
 //! Cubic splines over the codes: smooth curves in a few dozen numbers instead of 256.
 //!
-//! In: the knots below. Out: a [`Basis`] of 47 cubic B-splines. Cost: 256 x 4 numbers. Source: de Boor 1978, "A
-//! Practical Guide to Splines", chapter X.
+//! In: the knots, which are the codes where the pieces of a spline meet. Out: a [`Basis`] of 47 cubic B-splines. Cost:
+//! 256 x 4 numbers. Source: de Boor 1978, "A Practical Guide to Splines", chapter X.
 //!
 //! Response curves have the largest curvature near black, so there is a knot at every code near black, and at every
-//! eighth code in the middle. A curve recovered in this basis differs from one with 256 free values by less than 0.001
-//! stops on rendered brackets.
+//! eighth code in the middle. On rendered brackets, a curve that is recovered in this basis differs by less than 0.001
+//! stops from a curve with 256 free values.
 
 use crate::response::CODES;
 
@@ -52,7 +52,7 @@ impl Basis {
         Basis { rows: (0..CODES).map(row).collect(), count }
     }
 
-    /// Returns the basis whose coefficients are the 256 values of the curve themselves.
+    /// Returns the trivial basis: its 256 coefficients are the values of the curve.
     #[cfg(test)]
     pub fn values() -> Self {
         Basis { rows: (0..CODES).map(|z| (z, vec![1.0])).collect(), count: CODES }

@@ -35,8 +35,8 @@ fn found(exposures: &[f64], written: &[f64]) -> Vec<f64> {
     fit(&scene(exposures, written), &times, 0.07).unwrap()
 }
 
-/// Returns the part of the errors `wrong` that can be determined from pixels: without their common factor, and without
-/// their common power of the exposures `written`.
+/// Returns the part of the errors `wrong` that can be determined from pixels. Two parts cannot: a factor that is common
+/// to all exposures, and a power to which all exposures `written` are raised.
 fn knowable(wrong: &[f64], written: &[f64]) -> Vec<f64> {
     let v = DVector::from_row_slice(wrong);
     free_directions(written).iter().fold(DVector::zeros(wrong.len()), |sum, b| sum + b * b.dot(&v)).as_slice().to_vec()

@@ -14,9 +14,10 @@ use crate::tonemap::display::codes::{Code, Colours, Encoder};
 use crate::tonemap::display::oklab;
 use crate::tonemap::display::{ToSrgb, luminance};
 
-/// Change of the log odds by shadows at their largest value [`MOST`] in the darkest surroundings, and by highlights in
-/// the brightest surroundings. In the dark, the unit of log odds is a stop. The change is small enough that opposite
-/// settings never make a dark surface brighter than a bright one (the remaining slope in the middle tones is 0.31).
+/// Largest change of the log odds by the options shadows and highlights: with the value [`MOST`], in the darkest
+/// surroundings by shadows, and in the brightest surroundings by highlights. In the dark, the unit of log odds is a
+/// stop. The change is small enough that opposite settings never make a dark surface brighter than a bright one (the
+/// remaining slope in the middle tones is 0.31).
 const LOCAL_STOPS: f64 = 2.0;
 
 /// Smallest distance of a luminance from black and from white: 2^-24, the spacing of floats just below 1.
@@ -83,8 +84,8 @@ impl Adjusted {
         vectorised(Row { adjusted: self, lines: &lines, encoder, light, codes });
     }
 
-    /// Adjusts the display luminances of consecutive pixels in place, starting in column `x`. `lines` are what the
-    /// guide of the surroundings gives for this row of the picture.
+    /// Adjusts the display luminances of consecutive pixels in place, starting in column `x`. `lines` are the slopes
+    /// and offsets of the guide of the surroundings for this row of the picture.
     #[inline(always)]
     fn luminances(&self, x: usize, lines: &[[f32; 2]], display: &mut [f32; BLOCK]) {
         let mut odds = [0.0f32; BLOCK];

@@ -7,8 +7,8 @@
 //! White is balanced in linear light, before the operator (for `mertens`: after the fusion). All other adjustments
 //! except saturation change the log odds t = log2(Y / (1 - Y)) of display luminance Y. In the dark, t is in stops.
 //! Black and white are never reached, so nothing clips. Shadows and highlights are added to t where the surroundings
-//! are dark or bright; then contrast scales the distance of t from that of the middle code value; then brightness is
-//! added to t. Saturation scales the chroma of OkLab.
+//! are dark or bright; then contrast scales the distance of t from the log odds of the middle code value; then
+//! brightness is added to t. Saturation scales the chroma of OkLab.
 
 mod light;
 pub(crate) mod neutral;
@@ -30,7 +30,8 @@ pub struct Options {
     pub white_balance: WhiteBalance,
     /// Added to the log odds of luminance, -5 to 5: stops in the dark parts, and less and less towards white.
     pub brightness: f64,
-    /// -100 to 100: at 100 the log odds are twice as far from those of the middle code value, at -100 half as far.
+    /// -100 to 100: at 100 the log odds are twice as far from the log odds of the middle code value, at -100 half as
+    /// far.
     pub contrast: f64,
     /// -100 to 100: at 100 chroma is doubled, at -100 all is grey.
     pub saturation: f64,

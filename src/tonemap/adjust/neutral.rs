@@ -20,10 +20,10 @@ use std::ops::Range;
 /// Percentiles of luminance: only cells between these two are used. Cells below are too dark to have a reliable colour;
 /// cells above are lamps, windows and clipped parts.
 const ENDS: (f64, f64) = (0.05, 0.95);
-/// White moves by this fraction of the way from the white of the photographs to the mean colour, both in reciprocal
-/// temperature and in tint. It does not move the whole way, because the camera has already balanced white and no scene
-/// is exactly grey on average. The value was chosen by eye on four photographed brackets, so that lamp light stays
-/// warm.
+/// The white moves from the white of the photographs towards the mean colour, by this fraction of the way, both in
+/// reciprocal temperature and in tint. It does not move the whole way, because the camera has already balanced white
+/// and no scene is exactly grey on average. The value was chosen by eye on four photographed brackets, so that lamp
+/// light stays warm.
 const SHARE: f64 = 0.6;
 
 /// Returns the light to show as white in `scene`; `None` when the mean is not the colour of a light.
@@ -55,7 +55,8 @@ fn of_linear([r, g, b]: [f64; 3]) -> Option<Light> {
     (sum > 0.0).then(|| Light::of_xy([xyz.x / sum, xyz.y / sum]))?
 }
 
-/// A pixel that the user declares grey, and the square around it, a hundredth of the longer side wide.
+/// A pixel that is grey according to the user, and the square around it. The square is a hundredth of the longer side
+/// wide.
 #[derive(Debug, Clone)]
 pub struct Spot {
     at: (usize, usize),
@@ -263,8 +264,8 @@ mod tests {
         assert!((found.kelvin - LAMP.kelvin).abs() < 5.0, "{found}");
     }
 
-    /// The scene is grey on average, so the mean colour is that of its light, and white moves by `SHARE` of the way
-    /// towards it. A lamp that is much brighter than the surfaces does not dominate.
+    /// The scene is grey on average, so the mean colour is the colour of its light, and white moves by `SHARE` of the
+    /// way towards it. A lamp that is much brighter than the surfaces does not dominate.
     #[test]
     fn auto_moves_white_partly_to_the_mean_colour() {
         let auto = |light: Light| {

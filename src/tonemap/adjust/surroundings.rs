@@ -13,9 +13,9 @@ use crate::simd::log2;
 /// width of a picture.
 pub const CELLS: usize = 1 << 14;
 
-/// Variance of the log odds around a cell, in square stops, at which half of a deviation from their mean is smoothed
-/// away. So deviations of half a stop count as detail of a surface, and a step of three stops counts as an edge, of
-/// which 90 % is kept.
+/// If the log odds around a cell have this variance, in square stops, half of the cell's deviation from their mean is
+/// smoothed away. So deviations of half a stop count as detail of a surface. A step of three stops counts as an edge:
+/// 90 % of it is kept.
 const DETAIL: f32 = 0.25;
 
 /// Log odds are clamped to -ENDS..=ENDS: beyond this range, surroundings are completely dark or bright.
@@ -24,7 +24,7 @@ const ENDS: f32 = 10.0;
 /// The brightness around each pixel of a picture.
 #[derive(Debug, Clone)]
 pub(super) struct Surroundings {
-    /// Maps the log odds of a pixel to those of its surroundings.
+    /// Computes the log odds of a pixel's surroundings from the log odds of the pixel.
     pub guide: Guide,
     columns: Columns,
 }
@@ -41,9 +41,9 @@ impl Surroundings {
         Surroundings { guide, columns }
     }
 
-    /// Replaces the log odds of pixels by those of their surroundings. `odds` are log2(Y / (1 - Y)) of the display
-    /// luminances Y of consecutive pixels, the first of which is in column `x`. `lines` are what the guide gives for
-    /// this row of the picture.
+    /// Replaces the log odds of pixels by the log odds of their surroundings. `odds` are log2(Y / (1 - Y)) of the
+    /// display luminances Y of consecutive pixels; the first pixel is in column `x`. `lines` are the slopes and offsets
+    /// of the guide for this row of the picture.
     #[inline(always)]
     pub fn around<const N: usize>(&self, x: usize, lines: &[[f32; 2]], odds: &mut [f32; N]) {
         for (t, [a, b]) in odds.iter_mut().zip(interpolated(&self.columns, x, lines)) {

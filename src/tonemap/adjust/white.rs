@@ -29,8 +29,8 @@ pub enum WhiteBalance {
 pub struct Light {
     /// Correlated colour temperature in kelvins.
     pub kelvin: f64,
-    /// How much greener the light is than daylight or a black body of that temperature: 3000 times the distance in CIE
-    /// 1960 uv. White balance makes the picture more magenta by the same amount.
+    /// How much greener the light is than daylight or a black body of the same temperature: 3000 times the distance in
+    /// CIE 1960 uv. White balance makes the picture more magenta by the same amount.
     pub tint: f64,
 }
 
@@ -57,7 +57,7 @@ impl Light {
         Light { kelvin: self.kelvin.round(), tint: (10.0 * self.tint).round() / 10.0 }
     }
 
-    /// Returns the CIE 1931 xy chromaticity, relative to D65.
+    /// Returns the CIE 1931 xy chromaticity, in colours whose white is D65.
     pub fn xy(self) -> [f64; 2] {
         xy(self.uv())
     }
@@ -125,8 +125,8 @@ pub(super) const OPTION: &str = "--white-balance";
 /// The accepted forms of the option, for messages.
 const FORMS: &str = "give `auto`, `as-shot`, a temperature as in `5500` or `5500K`, with a tint as in `5500,10`, or a grey spot of the picture as in `1200,800` \
                      (`spot:2100,90` if the numbers could also be a temperature and a tint)";
-/// Largest accepted distance of a colour from the perpendicular to the locus at its temperature, in units of the tint.
-/// Larger distances occur beyond the ends of the range of temperatures.
+/// A colour should be on the line that is perpendicular to the locus at its temperature. This is the largest accepted
+/// distance from this line, in units of the tint. Larger distances occur beyond the ends of the range of temperatures.
 const BESIDE: f64 = 1.0;
 
 /// Returns the CIE 1960 uv of daylight and black bodies of temperature `t`, in kelvins.
@@ -157,7 +157,7 @@ fn daylight(t: f64) -> [f64; 2] {
 
 /// Returns the unit vector perpendicular to the locus at `t`, towards green.
 fn green(t: f64) -> [f64; 2] {
-    // The direction of the locus is a central difference, over a millionth of the temperature to each side.
+    // The direction of the locus is the difference of two points, a millionth of the temperature above and below `t`.
     let (a, b) = (locus(t * (1.0 - 1e-6)), locus(t * (1.0 + 1e-6)));
     let (du, dv) = (b[0] - a[0], b[1] - a[1]);
     let length = libm::hypot(du, dv);

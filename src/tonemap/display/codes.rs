@@ -1,7 +1,7 @@
 //! Encoding of linear light as code values.
 //!
 //! In: linear RGB; 1 is display white. Out: code values of 8 or 16 bits, rounded to nearest, by the transfer function
-//! of the picture's [`Colours`]; or the linear light itself if the picture is still to be resized. Cost: 2 ns per
+//! of the picture's [`Colours`]; or, if the picture will be resized later, the linear light itself. Cost: 2 ns per
 //! value. The tables are computed once for each transfer function and have 70 kB. Source: IEC 61966-2-1:1999 (sRGB),
 //! section 4.3; SMPTE EG 432-1 and Apple's Display P3, which has sRGB's transfer function; Adobe RGB (1998) Color Image
 //! Encoding, section 4.3.4.
@@ -89,16 +89,16 @@ impl Depth {
     }
 }
 
-/// Number of low bits of a float that do not select a cell of the tables, which leaves 256 cells per octave of light. A
-/// cell is narrower than an 8-bit code value. Within a cell, 16-bit code values differ from a straight line by at most
-/// 0.03.
+/// Number of low bits of a float that are ignored when a cell of the tables is selected. The other bits select one of
+/// 256 cells per octave of light. A cell is narrower than an 8-bit code value. Within a cell, 16-bit code values differ
+/// from a straight line by at most 0.03.
 const CELL_BITS: u32 = 15;
 /// Number of octaves of light below 1 that have cells. Darker light gets code value 0, even with 16 bits and a gamma of
 /// 2.2.
 const OCTAVES: u32 = 40;
 /// The smallest light that has a cell of its own.
 const LEAST: f32 = f32::from_bits((127 - OCTAVES) << 23);
-/// The high bits of [`LEAST`], which are subtracted from those of a float to get the index of its cell.
+/// The high bits of [`LEAST`]. The index of a float's cell is the high bits of the float minus this number.
 const FIRST: u32 = (127 - OCTAVES) << (23 - CELL_BITS);
 /// Number of cells from [`LEAST`] to 1.
 const CELLS: usize = (OCTAVES << (23 - CELL_BITS)) as usize;
@@ -112,8 +112,8 @@ struct Tables {
     next: [f32; 256],
     /// The unrounded 16-bit code value at the lower edge of every cell, and at the upper edge of the last cell.
     fine: Vec<f32>,
-    /// Linear light at the lower end of each of the [`PIECES`] pieces into which the range of code values, 0..=1, is
-    /// split, and at the upper end of the last piece.
+    /// The range of code values, 0..=1, is split into [`PIECES`] pieces. This is the linear light at the lower end of
+    /// each piece, and at the upper end of the last piece.
     light: Vec<f32>,
 }
 
@@ -300,9 +300,9 @@ mod tests {
         C::of_light(encoder, &[light; 3])[1]
     }
 
-    /// The tolerances have these reasons. The two branches of sRGB differ by 3e-8 where they meet. A float that is
-    /// within 1e-6 of a code value of a rounding boundary may be rounded up or down. 16-bit code values have an error
-    /// of 0.03 because of the interpolation over 1/256 octave, and of 0.01 because of the rounding of `f32`.
+    /// The tolerances have these reasons. The two branches of sRGB differ by 3e-8 where they meet. If a float is closer
+    /// than 1e-6 code values to a rounding boundary, it may be rounded up or down. 16-bit code values have an error of
+    /// 0.03 because of the interpolation over 1/256 octave, and of 0.01 because of the rounding of `f32`.
     #[test]
     fn codes_are_those_of_the_standards() {
         for colours in ALL {

@@ -33,8 +33,8 @@ impl ToSrgb {
         ToSrgb(Conversion::between(primaries, &Primaries::SRGB))
     }
 
-    /// Converts from `primaries` such that light of the chromaticity `light` becomes white. `light` is the CIE xy after
-    /// the white of `primaries` is adapted to D65.
+    /// Converts from `primaries` so that light of the chromaticity `light` becomes white. `light` is the CIE xy of that
+    /// light in colours that were adapted from the white of `primaries` to D65.
     pub fn balanced(primaries: &Primaries, light: [f64; 2]) -> Self {
         let known = Conversion::balanced(primaries, &Primaries::SRGB, light);
         // Degenerate primaries are treated as sRGB, as by [`from`](Self::from).
@@ -51,12 +51,12 @@ impl ToSrgb {
     }
 }
 
-/// Fraction of the way from grey to the bright edge of the gamut above which colours are compressed.
+/// Colours are compressed if they are farther than this fraction of the way from grey to the bright edge of the gamut.
 const KNEE: f32 = 0.75;
 
 /// Desaturates `rgb`, of luminance `y` relative to display white, until it is in 0..=1. Hue and luminance are kept.
-/// Towards the bright edge colours are compressed from `KNEE` on, so that bright saturated areas keep their texture and
-/// fade to white.
+/// Towards the bright edge of the gamut, colours beyond `KNEE` are compressed, so that bright saturated areas keep
+/// their texture and fade to white.
 #[inline(always)]
 pub fn into_gamut(rgb: [f32; 3], y: f32) -> [f32; 3] {
     let [r, g, b] = rgb;

@@ -6,9 +6,9 @@
 //! Neighbouring exposures are at most two stops apart (for ranges up to 30 stops), and all of them show the same scene,
 //! without moving objects. Radiance maps from other programs are handled the same way.
 //!
-//! 1. Exposures of the scene are computed on a grid, from the one that shows the highlights to the longest of the
-//!    bracket. The longest exposure, which the photographer chose, shows how bright the scene was. So night scenes stay
-//!    dark.
+//! 1. Exposures of the scene are computed on a grid. The shortest one shows the highlights; the longest one equals the
+//!    longest exposure of the bracket. The photographer chose this exposure, so it shows how bright the scene was, and
+//!    night scenes stay dark.
 //! 2. The exposures are fused; black and white are set near the darkest and brightest values of the fused picture.
 //! 3. A contrast curve is applied. A power function darkens the picture if the longest exposure is dark. If the
 //!    photographs are not known, it gives the picture the brightness of a typical photograph.
@@ -91,11 +91,11 @@ const STEP: f64 = 2.0;
 /// Largest number of exposures.
 const MOST_EXPOSURES: usize = 16;
 
-/// Share of the fused picture's cells that are darker than its dark end, and share of its cells that are brighter than
-/// its bright end.
+/// These define the dark and the bright end of the fused picture: the fraction of cells that are darker than its dark
+/// end, and the fraction of cells that are brighter than its bright end.
 const ENDS: (f64, f64) = (0.005, 0.003);
-/// The first number is a factor: the code value of the dark end of the fused picture, times this factor, becomes black.
-/// Before that, the code value of the dark end (0 to 1) is limited to the second number.
+/// Let d be the code value (0 to 1) of the dark end of the fused picture, limited to at most the second number. The
+/// code value d times the first number becomes black.
 const BLACK: (f32, f32) = (0.5, 0.15);
 /// Smallest code value (0 to 1) of the fused picture that can become white.
 const WHITE: f32 = 0.8;
@@ -188,8 +188,8 @@ const MOST_TURN: (f32, f32) = (0.157, 0.436);
 /// Chroma at or below which a colour counts as grey.
 const GREY: f32 = 1e-3;
 
-/// Returns the exposures to compute, in ascending order. Each is the log2 of a factor on luminance: a luminance that
-/// this factor scales to 1 gets the middle code value.
+/// Returns the exposures to compute, in ascending order. Each is the log2 of a factor. A luminance that is 1 after it
+/// is multiplied by this factor gets the middle code value.
 fn exposures(scene: &Scene, photograph: &Photograph) -> Vec<f64> {
     let shows = |(code, part): (f64, f64)| photograph.stop(code) - scene.percentile(part);
     let (lights, shadows) = (shows(LIGHTS), shows(SHADOWS));
@@ -244,7 +244,7 @@ struct Levels {
 }
 
 impl Levels {
-    /// Sets the levels such that the mean code value of the luminance of `fused` is `brightness`, or as near to it as
+    /// Sets the levels so that the mean code value of the luminance of `fused` is `brightness`, or as near to it as
     /// exponents from `low` to `high` allow.
     fn new(fused: &Channels, brightness: f64, (mut low, mut high): (f64, f64), contrast: f64) -> Self {
         let [r, g, b] = fused.each_ref().map(|plane| plane.as_slice());

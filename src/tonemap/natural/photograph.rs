@@ -1,4 +1,4 @@
-//! The tone curve of a camera: contrasty shadows, and decreasing contrast towards white.
+//! The tone curve of a camera: high contrast in the shadows, and decreasing contrast towards white.
 //!
 //! In: the contrast of a camera's pictures, and the number of stops from the middle code value to white. Out: the code
 //! value of a scene luminance, the scene luminance of a code value, and the colour in which a photograph shows a colour
@@ -7,15 +7,15 @@
 //! fourteen responses recovered from photographs. It matches their slopes between code values 32 and 224 to within 6 %
 //! (root mean square).
 //!
-//! Let d be the luminance on the display and s that of the scene, both as logarithms to base 2. The slope at the code
-//! value z is
+//! Let d be the luminance on the display and s the luminance of the scene, both as logarithms to base 2. The slope at
+//! the code value z is
 //!
 //! ```text
 //! dd / ds = c (1 - k t(z)),    t = 0 up to code 64, rising linearly with the code to 1 at 255
 //! ```
 //!
 //! where c and k follow from the contrast (the mean slope between codes 24 and 128) and from the stops from code 128 to
-//! white. With c = 1 and k = 0 the display shows luminances in proportion to those of the scene.
+//! white. With c = 1 and k = 0, the luminances on the display are proportional to the luminances of the scene.
 
 use crate::bracket::colour::{linear_to_srgb, srgb_to_linear};
 use crate::simd::log2;
@@ -57,7 +57,8 @@ impl Photograph {
         let display = |stop: f64| {
             let above = stops.partition_point(|&s| s < stop);
             libm::exp2(match above {
-                // Extrapolated with the slope between the first two code values.
+                // The value below the first code value is extrapolated with the slope between the first two code
+                // values.
                 0 => lights[0] + (lights[1] - lights[0]) / (stops[1] - stops[0]) * (stop - stops[0]),
                 STEPS => 0.0,
                 _ => {
@@ -68,7 +69,7 @@ impl Photograph {
         };
         let (first, last) = Self::STOPS;
         let count = ((last - first) * Self::PER_STOP) as usize;
-        // One more entry, so that every entry up to the end of `STOPS` has a successor.
+        // The table has one more entry than the range, so that every entry up to the end of `STOPS` has a successor.
         let shown: Vec<f64> =
             (0..=count + 1).map(|i| display(f64::from(first) + i as f64 / f64::from(Self::PER_STOP))).collect();
         let codes = shown.iter().map(|shown| linear_to_srgb(*shown) as f32).collect();
@@ -87,8 +88,8 @@ impl Photograph {
         p + (place - place.floor()) * (q - p)
     }
 
-    /// Returns the linear display colour that a photograph gives to `colour` if it is exposed such that the displayed
-    /// luminance is `display`, below 1. A factor on `colour` does not matter.
+    /// Returns the linear display colour that a photograph gives to `colour`, if its exposure makes the displayed
+    /// luminance `display` (below 1). Multiplying `colour` by a factor does not change the result.
     pub fn showing(&self, colour: [f32; 3], display: f32) -> [f32; 3] {
         let stops = colour.map(|c| log2(c.max(f32::MIN_POSITIVE)));
         let exposed = |stop: f32| stops.map(|c| Self::at(&self.shown, c + stop));
@@ -179,13 +180,13 @@ mod tests {
     fn a_display_s_own_curve_is_one_of_them() {
         let white = -libm::log2(srgb_to_linear(128.0 / 255.0));
         let photograph = Photograph::new(1.0, white);
-        // The range ends before the last table entry below white, which is at 2.19 stops: the next interval contains
-        // the corner at white.
+        // The last table entry below white is at 2.19 stops. The tested range ends before it, because the interval
+        // after this entry contains the corner at white.
         for stop in (-400..218).map(|i| f64::from(i) / 100.0) {
             let expected = linear_to_srgb(libm::exp2(stop - white));
             let found = f64::from(photograph.code(stop as f32));
-            // The tolerance covers two errors: that of linear interpolation over h = 1/32 stop, which is h^2 / 8 times
-            // the largest second derivative (0.11), 1.3e-5; and that of the bisection.
+            // The tolerance covers two errors. Linear interpolation over h = 1/32 stop has an error of h^2 / 8 times
+            // the largest second derivative (0.11), which is 1.3e-5. The other error is from the bisection.
             assert!((found - expected).abs() < 1e-4, "{stop}: {found} for {expected}");
         }
     }

@@ -62,8 +62,8 @@ fn night_scene_stays_dark() {
     assert!(mean(&night) < 0.7 * mean(&day), "{} {}", mean(&night), mean(&day));
 }
 
-/// By default the mean code value is that of the fused photographs, and not [`BRIGHTNESS`]. A brightness that is set is
-/// reached.
+/// By default the picture has the mean code value of the fused photographs, and not [`BRIGHTNESS`]. If a brightness is
+/// set, it is reached.
 #[test]
 fn default_brightness_is_that_of_the_fused_photographs() {
     let map = room(1.0);
@@ -115,8 +115,8 @@ fn detail_increases_contrast_finer_than_a_cell() {
     assert!(f64::from(steps(2.0)) > 1.5 * f64::from(steps(1.0)), "{} {}", steps(2.0), steps(1.0));
 }
 
-/// Saturated colours over ten stops keep their OkLCh hue to within 10 degrees. Their chroma does not exceed that of the
-/// scene's colour at the same luminance, up to the rounding of code values.
+/// Saturated colours over ten stops keep their OkLCh hue to within 10 degrees. Their chroma is at most the chroma of
+/// the scene's colour at the same luminance, apart from the rounding of code values.
 #[test]
 fn hue_is_kept_and_saturation_does_not_increase() {
     let colours = [[1.0, 0.2, 0.06], [0.1, 0.3, 1.0], [0.2, 1.0, 0.1], [1.0, 0.9, 0.3]];

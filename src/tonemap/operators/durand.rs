@@ -56,8 +56,8 @@ impl Options {
 /// Largest number of cells that the base is computed on.
 pub const CELLS: usize = 1 << 19;
 
-/// Share of the values of the base that is ignored at each end when its range is measured. The same share of the tones
-/// may be clipped to white.
+/// When the range of the base is measured, this fraction of its values is ignored at each end. The same fraction of the
+/// tones may be clipped to white.
 const ENDS: f64 = 0.005;
 
 /// Returns the tones of `scene`.

@@ -21,8 +21,8 @@ pub struct Options {
     pub alpha: f64,
     /// Exponent of (gradient / alpha) at every scale; 1 changes nothing. The paper uses 0.8 to 0.9.
     pub beta: f64,
-    /// Gradients below this multiple of the mean count as noise, and get the same factor as a gradient of exactly this
-    /// size. The paper has no such limit and so amplifies the noise of skies.
+    /// Gradients below this multiple of the mean gradient count as noise. They get the same factor as a gradient at
+    /// this limit. The paper has no such limit and so amplifies the noise of skies.
     pub noise: f64,
     /// Stops from black to white on the display.
     pub range_stops: f64,
@@ -200,7 +200,8 @@ mod tests {
         }
     }
 
-    /// The edge shrinks more than the texture. The smaller beta is, the more the edge shrinks relative to the texture.
+    /// The edge shrinks more than the texture. The smaller beta is, the more the edge shrinks compared with the
+    /// texture.
     #[test]
     fn edges_shrink_more_than_texture() {
         let before = logs(200, 120);

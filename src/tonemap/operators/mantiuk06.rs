@@ -85,11 +85,12 @@ fn processed(logs: &Plane<f32>, options: &Options) -> Plane<f32> {
     tones
 }
 
-/// The contrasts of one scale. A contrast is the log10 of the luminance of a neighbour divided by that of the cell.
+/// The contrasts of one scale. A contrast is the log10 of the luminance of a neighbour divided by the luminance of the
+/// cell.
 #[derive(Debug, Clone)]
 struct Contrasts {
-    /// First the contrasts to the right neighbours, with 0 in the last column; then those to the lower neighbours, with
-    /// 0 in the last row.
+    /// First the contrasts to the right neighbours, with 0 in the last column; then the contrasts to the lower
+    /// neighbours, with 0 in the last row.
     to: [Plane<f32>; 2],
 }
 
@@ -138,7 +139,7 @@ fn contrasts(mut level: Plane<f32>) -> Vec<Contrasts> {
     pyramid
 }
 
-/// Returns the means of 2 x 2 cells; at the right and lower border, of the cells that exist.
+/// Returns the means of 2 x 2 cells. At the right and the lower border, only the cells that exist are averaged.
 fn halved(plane: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (plane.width(), plane.height());
     Plane::from_rows(width.div_ceil(2), height.div_ceil(2), |y, row| {
@@ -228,8 +229,8 @@ fn inverse(response: f32) -> f32 {
     libm::powf(at_bend + (response - BEND / SEEN) * FACTOR * (1.0 - POWER), 1.0 / (1.0 - POWER))
 }
 
-/// Returns the picture whose contrasts at all scales are nearest to those of `pyramid`, with differences weighted by
-/// their visibility (section 5).
+/// Returns the picture whose contrasts at all scales are nearest to the contrasts in `pyramid`. Differences are
+/// weighted by their visibility (section 5).
 fn with_contrasts(pyramid: &[Contrasts]) -> Plane<f32> {
     let visibility = |level: &Contrasts| level.clone().changed(level, |_, c| SEEN / least_difference(c.abs()));
     let weights: Vec<Contrasts> = pyramid.iter().map(visibility).collect();

@@ -65,7 +65,7 @@ impl Options {
 /// Largest number of cells in which contrasts are counted. A cell is treated as one pixel of the display.
 const CELLS: usize = 1 << 18;
 
-/// Pixels of the display per degree of visual angle: those of a monitor at arm's length.
+/// Pixels of the display per degree of visual angle, as for a monitor at arm's length.
 const PIXELS_PER_DEGREE: f64 = 30.0;
 
 /// Number of frequency bands, one octave apart: 15, 7.5, 3.75 and 1.9 cycles per degree (section 6).
@@ -85,8 +85,8 @@ const SEEN: f64 = 0.0043;
 /// Luminance, in cd/m2, to which the eye of a viewer of the real scene is adapted: daylight.
 const DAYLIGHT: f64 = 1000.0;
 
-/// Weight of the contrast that is added across a gap of the tone curve in which no contrasts occur, relative to the
-/// weight of all contrasts together (section 6, disconnected parts).
+/// If no contrasts occur in a part of the tone curve, a contrast across this gap is added (section 6, disconnected
+/// parts). This is its weight, divided by the weight of all contrasts together.
 const BRIDGE: f64 = 0.1;
 
 /// Largest number of rounds; in each, responses are linearised again.
@@ -187,8 +187,8 @@ pub fn mantiuk08(scene: &Scene, options: &Options) -> Tones {
     Tones::new(scene.to_srgb, Guide::shifted(shift), curve, scene.size.0)
 }
 
-/// Returns log10 display luminance at every node, relative to white. If the curve does not use the whole range of the
-/// display, the darkest part of that range is unused.
+/// Returns log10 of the display luminance at every node, divided by white. If the curve needs less than the range of
+/// the display, the darkest part of that range is unused.
 fn ends(pieces: &[f64]) -> Vec<f64> {
     let mut ends = vec![0.0f64; pieces.len() + 1];
     for i in (0..pieces.len()).rev() {
@@ -197,8 +197,8 @@ fn ends(pieces: &[f64]) -> Vec<f64> {
     ends
 }
 
-/// Section 6: counts the contrasts between cells and their surroundings, by frequency band and by the two nodes of the
-/// curve that a contrast connects.
+/// Section 6: counts the contrasts between cells and their surroundings. Contrasts are counted separately for each
+/// frequency band and each pair of nodes of the curve that they connect.
 fn counted(logs: &Plane<f32>, nodes: &Nodes) -> Vec<Contrasts> {
     let reach = libm::round(MOST_CONTRAST / nodes.step).max(1.0) as isize;
     let size = nodes.pieces + 1;
@@ -231,7 +231,7 @@ fn counted(logs: &Plane<f32>, nodes: &Nodes) -> Vec<Contrasts> {
     contrasts
 }
 
-/// Adds contrasts that connect parts of the curve that have no contrasts between them.
+/// If there are no contrasts between two parts of the curve, adds a contrast that connects them.
 fn bridged(contrasts: &[Contrasts], nodes: &Nodes) -> Vec<Contrasts> {
     let mut is_used = vec![false; nodes.pieces];
     for c in contrasts {
@@ -249,8 +249,9 @@ fn bridged(contrasts: &[Contrasts], nodes: &Nodes) -> Vec<Contrasts> {
 }
 
 /// Returns, for each piece of the tone curve, its share of the display's log10 range (section 3). With these shares,
-/// the eye's responses to the contrasts on the display are nearest to its responses to the contrasts of the scene.
-/// Responses are linearised around the last solution until it converges.
+/// the eye's responses to the contrasts on the display are as close as possible to its responses to the contrasts of
+/// the scene. The responses are linearised at the last solution, and a new solution is computed, until the solutions
+/// converge.
 fn curve(contrasts: &[Contrasts], nodes: &Nodes, display: &Display, enhanced: f64) -> Vec<f64> {
     let n = nodes.pieces;
     let frequency = |band: usize| 0.5 * PIXELS_PER_DEGREE / f64::from(1u32 << band);
@@ -278,12 +279,13 @@ fn curve(contrasts: &[Contrasts], nodes: &Nodes, display: &Display, enhanced: f6
                 h[i][c.from..c.to].iter_mut().for_each(|v| *v += c.share * slope * slope);
             }
         }
-        // The ridge is a regularisation: it gives equal shares to pieces that occur only together.
+        // The ridge (a small number on the diagonal) is a regularisation: if two pieces occur only together, it gives
+        // them equal shares.
         let ridge = 1e-6 * (0..n).map(|i| h[i][i]).sum::<f64>() / n as f64;
         (0..n).for_each(|i| h[i][i] += ridge);
         let next = minimum(&h, &f, display.range());
         let moved = pieces.iter().zip(&next).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-        // Half steps, because full steps may oscillate.
+        // Each round goes half of the way to the new solution, because full steps may oscillate.
         pieces.iter_mut().zip(&next).for_each(|(p, n)| *p = 0.5 * (*p + n));
         if moved < SETTLED {
             break;
@@ -332,9 +334,9 @@ mod tests {
         contrasts.iter().map(square).sum()
     }
 
-    /// If one piece of the curve gives a part of its output range to another piece, the distortion decreases by at most
-    /// 5 %. It may decrease because the paper's iteration, which keeps the ratio of response to contrast fixed in each
-    /// round, does not end exactly at the minimum.
+    /// The result is near the minimum: if one piece of the curve gives a part of its output range to another piece, the
+    /// distortion decreases by at most 5 %. It is not exactly the minimum, because the paper's iteration keeps the
+    /// ratio of response to contrast fixed in each round.
     #[test]
     fn no_curve_near_by_distorts_less() {
         let scene = scene(&radiance(12.0, 1.0));

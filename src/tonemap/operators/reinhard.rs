@@ -16,8 +16,8 @@ use crate::tonemap::tones::{Curve, Tones};
 /// the key 0.18.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Options {
-    /// The key a: the scaled luminance (equation 2) of the log-average luminance of the scene, about 0.18. `None`:
-    /// estimated by the global operator, 0.18 for the local one.
+    /// The key a, about 0.18: equation 2 scales luminances so that the log-average luminance of the scene becomes a.
+    /// `None`: estimated by the global operator, 0.18 for the local one.
     pub key: Option<f64>,
     /// L_white: smallest luminance that maps to white, in units of the scaled luminance of equation 2. `None`:
     /// estimated.
@@ -114,8 +114,8 @@ pub fn global(scene: &Scene, options: &Options) -> Tones {
     Tones::new(scene.to_srgb, Guide::shifted(shoulder.shift), curve, scene.size.0)
 }
 
-/// Largest number of cells of the local operator. Its scales are those of the paper, in pixels of pictures of about
-/// this size.
+/// Largest number of cells of the local operator. The paper gives the scales in pixels, for pictures with about this
+/// number of pixels.
 const CELLS: usize = 1 << 19;
 
 /// Scaled luminances are limited to this many stops below and above 1, so that their squares do not overflow.
@@ -160,8 +160,8 @@ pub fn local(scene: &Scene, options: &Options) -> Tones {
     Tones::new(scene.to_srgb, guide, curve, scene.size.0)
 }
 
-/// Returns V_1 of equation 9: for each cell, the blurred `l` at the largest scale up to which centre and surround are
-/// similar.
+/// Returns V_1 of equation 9: for each cell, `l` blurred at the largest scale for which centre and surround are similar
+/// at this scale and at all smaller ones.
 fn surroundings(l: &Plane<f32>, key: f64) -> Plane<f32> {
     let blurred = |scale: f64| gaussian(l, CENTRE * scale / std::f64::consts::SQRT_2);
     let (width, height) = (l.width(), l.height());

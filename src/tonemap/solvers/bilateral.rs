@@ -7,11 +7,12 @@
 
 use crate::plane::Plane;
 
-/// Weights of a Gaussian whose standard deviation is the distance between two nodes of the grid, cut off at two such
-/// distances.
+/// Weights of a Gaussian at distances of -2 to 2 nodes of the grid. Its standard deviation is the distance between two
+/// neighbouring nodes.
 const KERNEL: [f32; 5] = [0.054_488_7, 0.244_201_3, 0.402_62, 0.244_201_3, 0.054_488_7];
 
-/// Number of nodes added at each end of each axis, so that blurring loses nothing beyond the grid.
+/// Number of nodes that are added at each end of each axis, so that blurring does not lose values beyond the ends of
+/// the grid.
 const MARGIN: usize = 2;
 
 /// A grid over position and luminance. Each node has two numbers for the cells nearest to it: the sum of their
@@ -94,8 +95,8 @@ mod tests {
     }
 
     /// The expected result is the double sum of Tomasi & Manduchi. The grid samples both Gaussians once per standard
-    /// deviation, for which Paris & Durand report a PSNR of 40 dB and more. 40 dB is an error of 1 % of the range, here
-    /// 0.06 of 6 stops.
+    /// deviation, for which Paris & Durand report a PSNR of 40 dB and more. 40 dB is an error of 1 % of the range. The
+    /// range here is 6 stops, so the error is 0.06 stops.
     #[test]
     fn result_equals_the_double_sum_up_to_sampling() {
         let (logs, reach, edge) = (scene(), 5.0f32, 1.3f32);

@@ -5,8 +5,8 @@
 //! Suprathreshold Human Vision" (1980); both as given by Mantiuk, Daly, Kerofsky, "Display Adaptive Tone Mapping"
 //! (2008), section 4 and appendix.
 
-/// Returns the contrast sensitivity (1 / threshold) at `frequency` cycles per degree for an eye adapted to `cd_m2`, for
-/// a picture of one square degree at a distance of half a metre.
+/// Returns the contrast sensitivity (1 / threshold) at `frequency` cycles per degree. The eye is adapted to `cd_m2`,
+/// and sees a picture of one square degree at a distance of half a metre.
 pub(crate) fn sensitivity(frequency: f64, cd_m2: f64) -> f64 {
     const PEAK: f64 = 250.0;
     // Daly's factor for the accommodation of the eye at half a metre. His factors for orientation and eccentricity are
@@ -47,8 +47,8 @@ mod tests {
         assert!(loss(1.0) > 1.1 && loss(15.0) > 3.0 * loss(1.0), "{} {}", loss(1.0), loss(15.0));
     }
 
-    /// The response at the threshold is about 1, and above the threshold it rises with the logarithm of contrast about
-    /// linearly (Weber's law) or more slowly.
+    /// The response at the threshold is about 1. Above the threshold, it is about proportional to the logarithm of
+    /// contrast (Weber's law), or rises more slowly.
     #[test]
     fn response_is_one_at_the_threshold_and_then_slows() {
         for s in [20.0, 150.0] {

@@ -1,9 +1,9 @@
-//! Fills the range of a display: scales the tones of an operator, whatever their range in stops, such that they reach
-//! from black to white.
+//! Fills the range of a display: scales the tones of an operator so that they reach from black to white, whatever their
+//! range in stops is.
 //!
 //! In: a scene and the tones of its cells. Out: its tones on the display. Cost: 60 ns per cell. Source: Mantiuk,
 //! Myszkowski, Seidel, "A Perceptual Framework for Contrast Processing of High Dynamic Range Images" (2006), section
-//! 6.1: log luminance is scaled such that percentiles map to black and white.
+//! 6.1: log luminance is scaled so that two percentiles become black and white.
 
 use crate::plane::Plane;
 use crate::tonemap::guide::Guide;
@@ -36,8 +36,8 @@ pub(crate) struct LogRange {
 const POWERS: (f64, f64) = (0.8, 1.6);
 
 impl LogRange {
-    /// Returns the tones of `scene`; `change` maps the log2 luminances of its cells, limited as in [`lit`](Scene::lit),
-    /// to tones, which are then scaled.
+    /// Returns the tones of `scene`; `change` computes tones from the log2 luminances of the cells
+    /// ([`lit`](Scene::lit), which limits dark values). These tones are then scaled.
     pub fn tones(&self, scene: &Scene, change: impl FnOnce(&Plane<f32>) -> Plane<f32>) -> Tones {
         let mut grid = scene.coarser(CELLS);
         grid.logs = grid.lit();
@@ -50,8 +50,8 @@ impl LogRange {
         let mut sorted = tones.as_slice().to_vec();
         sorted.sort_unstable_by(f32::total_cmp);
         let last = sorted.len() - 1;
-        // The nearest rank is used. In a small picture it may be the darkest or the brightest value, so that nothing is
-        // clipped; `quantile` would clip at least one value at each end.
+        // The value with the nearest rank is used. In a small picture this may be the darkest or the brightest value,
+        // and then nothing is clipped. `quantile` would clip at least one value at each end.
         let at = |p: f64| sorted[((last as f64 * p).round() as usize).min(last)];
         let (black, white) = (at(CLIPPED.0), at(1.0 - CLIPPED.1));
         let range = scene.percentile(1.0 - CLIPPED.1) - scene.percentile(CLIPPED.0);

@@ -17,8 +17,8 @@ const TOLERANCE: f64 = 1e-4;
 const MOST_STEPS: usize = 40;
 
 /// Returns the picture whose differences are nearest to the given ones by least squares. `right` holds the differences
-/// to the right neighbours, `down` those to the lower neighbours. The last column of `right` and the last row of `down`
-/// are ignored.
+/// to the right neighbours, `down` the differences to the lower neighbours. The last column of `right` and the last row
+/// of `down` are ignored.
 pub fn integrated(right: &Plane<f32>, down: &Plane<f32>) -> Plane<f32> {
     let divergence = divergence(right, down);
     let grid = Multigrid::new((right.width(), right.height()));
@@ -110,7 +110,7 @@ fn sum(plane: &Plane<f32>) -> f64 {
     fold_bands(plane.height(), of_band, 0.0, |sum, s| sum + s)
 }
 
-/// One axis of a grid of cells, the last of which may be narrower than the others.
+/// One axis of a grid of cells. The last cell may be narrower than the others.
 #[derive(Debug, Clone)]
 struct Axis {
     /// Width of each cell of this grid, in units of a cell of the finest grid.
@@ -185,8 +185,8 @@ pub struct Multigrid {
     levels: Vec<Level>,
 }
 
-/// Damping of the Jacobi steps. On a uniform grid in two dimensions, 0.8 is the best factor against oscillating errors,
-/// which coarser grids cannot represent: each step reduces all of them to 0.6 or less.
+/// Damping of the Jacobi steps. The steps must reduce oscillating errors, which coarser grids cannot represent. On a
+/// uniform grid in two dimensions, 0.8 is the best factor: each step reduces all oscillating errors to 0.6 or less.
 const DAMPING: f32 = 0.8;
 
 impl Multigrid {
@@ -320,7 +320,7 @@ impl Level {
 mod tests {
     use super::*;
 
-    /// Returns numbers without a pattern that depend only on `seed`.
+    /// Returns pseudo-random numbers, which depend only on `seed`.
     fn noise(width: usize, height: usize, seed: u32) -> Plane<f32> {
         let mut state = seed;
         let values = (0..width * height).map(|_| {

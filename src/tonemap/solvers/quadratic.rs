@@ -42,7 +42,7 @@ pub(crate) fn minimum(h: &[Vec<f64>], f: &[f64], most: f64) -> Vec<f64> {
         } else if is_full && multiplier < -1e-12 * scale {
             is_full = false;
         } else {
-            // Free the variable, of those held at 0, along which the form decreases fastest.
+            // Among the variables that are held at 0, free the one whose increase makes the form decrease fastest.
             let slope = |i: usize| h[i].iter().zip(&x).map(|(a, x)| a * x).sum::<f64>() - f[i] + multiplier;
             let bound = (0..n).filter(|&i| !is_free[i]).map(|i| (slope(i), i));
             match bound.min_by(|a, b| a.0.total_cmp(&b.0)) {

@@ -1,6 +1,6 @@
 //! Survey of radiance and picture: determines the white and the range of gains for the gain map.
 //!
-//! In: radiance by rows, and the codes of the picture for them. Out: a [`Rendition`]. Cost: that of about 200,000
+//! In: radiance by rows, and the codes of the picture for them. Out: a [`Rendition`]. Cost: work on about 200,000
 //! pixels. Source: see `gain_map`.
 
 use super::gain_map::{Base, GRAIN, MOST_FALL, MOST_STOPS, OFFSET, Rendition, ToBase, lit, shown};

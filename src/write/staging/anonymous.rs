@@ -1,8 +1,8 @@
 //! Anonymous files: files without a name, which the system removes when their process ends, however it ends.
 //!
-//! In: a folder. Out: an open file, and later a link to it. Cost: that of any file. Linux supports anonymous files
-//! (`O_TMPFILE`) on most of its file systems. Other systems have no anonymous files, so files with temporary names
-//! are used there.
+//! In: a folder. Out: an open file, and later a link to it. Cost: the same as for any file. Linux supports anonymous
+//! files (`O_TMPFILE`) on most of its file systems. Other systems have no anonymous files, so files with temporary
+//! names are used there.
 
 use std::fs::File;
 use std::io;

@@ -2,8 +2,8 @@
 //!
 //! In: the target of a file. Out: a [`TemporaryFile`] in the target's folder, which becomes a [`Staged`] file when it
 //! is complete. The temporary file is an [anonymous] file if the system supports that, otherwise a file with a
-//! temporary name that a [claim](super::claim) protects. [`abandon`] removes all temporary files of the process.
-//! Cost: that of the files. At most [`most`](anonymous::most) complete anonymous files stay open.
+//! temporary name that a [claim](super::claim) protects. [`abandon`] removes all temporary files of the process. Cost:
+//! the same as for any file. At most [`most`](anonymous::most) complete anonymous files stay open.
 
 use super::anonymous;
 use super::claim::Claim;

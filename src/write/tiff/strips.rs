@@ -1,6 +1,6 @@
 //! The structure of a TIFF: strips of 64 rows in order, followed by the directory.
 //!
-//! In: compressed strips. Out: a file. Cost: that of writing. Source: TIFF 6.0, section 2; BigTIFF (Aware Systems).
+//! In: compressed strips. Out: a file. Cost: writing. Source: TIFF 6.0, section 2; BigTIFF (Aware Systems).
 
 use super::directory::{Directory, tag};
 use crate::error::Result;

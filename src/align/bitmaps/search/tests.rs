@@ -25,7 +25,7 @@ fn a_level_is_the_least_that_enough_pixels_do_not_exceed() {
     let levels = [Percentile::new(17), Percentile::MEDIAN, Percentile::new(83)].map(|p| histogram(&ramp).value_at(p));
     assert_eq!(levels, [16, 49, 82]);
     // If half of the pixels have one value and half have another, the median is the lower value. With one more pixel of
-    // the upper value, it is the upper one.
+    // the upper value, the median is the upper value.
     assert_eq!(histogram(&[(10, 50), (20, 50)]).value_at(Percentile::MEDIAN), 10);
     assert_eq!(histogram(&[(10, 50), (20, 51)]).value_at(Percentile::MEDIAN), 20);
     for end in [0, 255] {
@@ -49,7 +49,8 @@ fn another_percentile_is_used_if_the_median_is_clipped_or_black() {
     for crowded in [&burnt, &black] {
         let own = common_percentile(crowded, crowded, 4);
         assert!(own != Percentile::MEDIAN && parts(crowded, own), "{own:?}");
-        // If one frame is normal and the other is crowded at an end, both must have structure, in either order.
+        // In one frame the values are spread, in the other most values are at one end of the range. At the common
+        // percentile, both bitmaps must have structure, whichever frame is given first.
         let common = common_percentile(&normal, crowded, 4);
         assert!(common != Percentile::MEDIAN && parts(crowded, common), "{common:?}");
         assert_eq!(common_percentile(crowded, &normal, 4), common);
@@ -249,8 +250,9 @@ fn rivals_are_the_periods_of_a_facade() {
     }
 }
 
-/// A strip 65,500 px long has 386 million shifts of up to 15 % of its length along both axes, and each would take 32
-/// bytes. So the search range of such strips is limited; that of photographs of 3:1 is not.
+/// In a strip that is 65,500 px long, there are 386 million shifts of up to 15 % of the length along both axes, and
+/// each would take 32 bytes. So the search range of such strips is limited. The range is not limited for photographs
+/// whose sides have the ratio 3 : 1.
 #[test]
 fn strips_are_searched_within_bounds() {
     let pair = |width: usize, height: usize| {

@@ -75,9 +75,9 @@ mod tests {
             let right = found.inliers.iter().filter(|&&i| i as u64 >= wrong).count() as u64;
             assert!(right == n - wrong && found.inliers.len() as u64 <= n - wrong + 2);
             // The tolerance follows from the noise. Uniform noise of +-0.5 px has a standard deviation of 0.29 px along
-            // each axis. With eight parameters fitted to 2 n equations, the mean leverage is 4 / n, and that of the
-            // corners about 24 / n. For n >= 60, the error of a corner is at most 0.29 sqrt(2) sqrt(24 / 60) = 0.26 px.
-            // The tolerance is three times that.
+            // each axis. With eight parameters fitted to 2 n equations, the mean leverage is 4 / n, and the leverage of
+            // the corners is about 24 / n. For n >= 60, the error of a corner is at most 0.29 sqrt(2) sqrt(24 / 60) =
+            // 0.26 px. The tolerance is three times that.
             for (x, y) in [(0.0, 0.0), (2000.0, 0.0), (2000.0, 1500.0), (0.0, 1500.0)] {
                 let ((a, b), (c, d)) = (map(&found.homography, x, y), map(&H, x, y));
                 assert!((a - c).hypot(b - d) < 0.8);
@@ -88,9 +88,9 @@ mod tests {
     #[test]
     fn nonsense_has_no_consensus_worth_the_name() {
         // A random pair is within the threshold of 2.5 px with probability 6.5e-6: the area of a circle of this radius
-        // divided by that of the image. One draw in 13 has the same orientation in both frames (`same_handed`). In 3000
-        // trials with 96 further pairs each, a fifth inlier is found by chance in 1 - exp(-3000 / 13 * 96 * 6.5e-6) =
-        // 13 % of the searches, and hardly ever a sixth.
+        // divided by the area of the image. One draw in 13 has the same orientation in both frames (`same_handed`). In
+        // 3000 trials with 96 further pairs each, a fifth inlier is found by chance in 1 - exp(-3000 / 13 * 96 *
+        // 6.5e-6) = 13 % of the searches, and hardly ever a sixth.
         let search_with = |seed| search(&pairs(100, 100, 0.0), &RansacOptions { seed, ..RansacOptions::default() });
         let found: Vec<Consensus> = (0..20).filter_map(search_with).collect();
         assert!(found.len() <= 8 && found.iter().all(|f| f.inliers.len() == 5), "{found:?}");

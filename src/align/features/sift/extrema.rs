@@ -58,7 +58,8 @@ pub(super) fn find(space: &ScaleSpace, options: &SiftOptions) -> Vec<Extremum> {
             let bands = map_bands(height, |rows| {
                 let mut band = Vec::new();
                 let rows = rows.start.max(BORDER)..rows.end.min(height.saturating_sub(BORDER));
-                // `window` holds three rows of D. `candidates` marks the candidates in the middle row.
+                // `window` holds three consecutive rows of D (difference of Gaussians). `candidates` marks the
+                // candidates in the middle row.
                 let mut window: [Vec<f32>; 3] = std::array::from_fn(|_| vec![0.0; width]);
                 let mut candidates = vec![false; width];
                 for y in rows.clone() {

@@ -51,7 +51,7 @@ struct Habit {
     pauses: (f64, f64),
     /// The shortest and the longest shutter time of the middle frame, in seconds.
     times: (f64, f64),
-    /// Probability that the middle exposure of a bracket is that of the previous bracket.
+    /// Probability that a bracket has the same middle exposure as the previous bracket.
     alike: f64,
     /// Probability of single frames before a bracket.
     singles: f64,
@@ -372,8 +372,8 @@ fn found(exposures: &[TimedExposure]) -> Vec<Range<usize>> {
     brackets(exposures, rhythm::clock(exposures), &RULES)
 }
 
-/// Returns three numbers: the brackets on the cards, those of them that were found exactly, and the found brackets
-/// that are wrong.
+/// Returns three numbers of brackets: those on the cards, those on the cards that were found exactly, and those that
+/// were found but are wrong.
 fn score(habit: &Habit, cards: u64) -> (usize, usize, usize) {
     (0..cards).fold((0, 0, 0), |(all, right, wrong), seed| {
         let card = card(habit, 12, seed + 1000);

@@ -29,7 +29,7 @@ fn jpeg_with_coarse_chroma_is_not_mixed_with_the_padding_behind_it() {
     let (inside, behind) = ([200, 60, 40], [20, 90, 250]);
     for (factors, progressive) in [((2, 2), false), ((2, 1), false), ((1, 2), false), ((2, 2), true)] {
         // The header is changed below from the padded size to a smaller size. A scan of a single component contains
-        // only ceil(size / 8) blocks per axis, so the sizes are chosen such that this number stays the same.
+        // only ceil(size / 8) blocks per axis, so the sizes are chosen so that this number stays the same.
         for (width, height) in [(26_usize, 26_usize), (154, 42), (42, 154)] {
             let stored = |size: usize, factor: u8| size.next_multiple_of(8 * usize::from(factor));
             let (across, down) = (stored(width, factors.0), stored(height, factors.1));

@@ -1,7 +1,8 @@
 //! Compares exposures from EXIF or the user with the pixels.
 //!
 //! In: exposures in EV, and the brightness of their frames. Out: why the exposures are impossible, and for which
-//! frames. Cost: one estimate of a step for each pair of frames that are neighbours in one of the sets of frames tried.
+//! frames. Several sets of frames are tried. Cost: one estimate of a step for each pair of frames that are neighbours
+//! in one of these sets.
 
 use super::{Brightness, CAMERAS, STEP, by_brightness, spread, step};
 use std::cell::RefCell;
@@ -9,8 +10,8 @@ use std::collections::BTreeMap;
 
 /// Written exposures that differ by no more than this, in EV, count as equal.
 const ALIKE: f64 = 0.05;
-/// An error of a step of this size or more, in EV, is not caused by changing light, but by a typing error, or by a tag
-/// with another unit.
+/// If a step is wrong by at least this, in EV, changing light is not the cause, but a typing error, or a tag with
+/// another unit.
 const FAR_OFF: f64 = 3.0;
 /// For more frames than this, only a single contradicting frame is searched for.
 const MANY: usize = 12;
@@ -108,9 +109,9 @@ pub fn at_odds(written: &[f64], frames: &[&Brightness]) -> Option<Vec<usize>> {
     })
 }
 
-/// Leaves out the frames `odd`. Returns the largest ratio of the difference between a written and a measured step to
-/// the difference that is tolerated for this step. `None` if the remaining frames contradict each other, or a step
-/// cannot be measured.
+/// Compares the written with the measured steps without the frames `odd`. The difference of each step is divided by the
+/// difference that is tolerated for it; returns the largest of these quotients. `None` if the remaining frames
+/// contradict each other, or a step cannot be measured.
 fn without(written: &[f64], pairs: &Pairs, odd: &[usize]) -> Option<f64> {
     let rest: Vec<usize> = (0..written.len()).filter(|i| !odd.contains(i)).collect();
     let order = by_written(&rest, written);

@@ -1,7 +1,8 @@
 //! Fits camera curves to pairs of frames, and computes the exposure steps that follow from each curve.
 //!
-//! In: the matched pixel values of each pair of frames. Out: for each kind of curve its likelihood, and the steps under
-//! the best curve with their uncertainties. Cost: some ten sums over the matches of all pairs for each kind.
+//! In: the matched pixel values of each pair of frames. Out: for each kind of curve, its likelihood, and the steps that
+//! follow from its best curve, with their uncertainties. Cost: some ten sums over the matches of all pairs for each
+//! kind.
 //!
 //! A curve is the log2 of the exposure as a function of the pixel value. Its slope is the slope of the sRGB curve times
 //! exp(p), where p is a cubic polynomial of the pixel value, given by four Legendre terms. Matches never determine the
@@ -9,7 +10,7 @@
 //! response from images: what is knowable?", PAMI 2003). So the constant term is inferred from the other terms by
 //! priors: normal distributions of the four terms, one for each [`Kind`]. The best terms are found by iteratively
 //! reweighted Gauss-Newton steps. The likelihood of a kind is the likelihood of its best terms, multiplied by the
-//! volume of the terms around them that are also likely (Laplace's approximation).
+//! volume of the region around these terms in which other terms are nearly as likely (Laplace's approximation).
 
 use crate::bracket::colour::srgb_to_linear;
 use nalgebra::{Matrix4, Vector4};
@@ -30,16 +31,16 @@ pub(super) struct Pair {
     pub(super) share: f64,
 }
 
-/// A class of curves: the share of photographs that have such a curve, and the prior distribution of the four terms of
-/// the curve: its mean, and the lower triangle of its covariance.
+/// A class of curves. `share` is the fraction of photographs that have such a curve. `mean` and `covariance` (its lower
+/// triangle) are the prior distribution of the four terms of the curve.
 struct Kind {
     share: f64,
     mean: [f64; 4],
     covariance: [f64; 10],
 }
 
-/// The kinds of curves. Their distributions were fitted to curves that were measured or computed, at pixel values 16 to
-/// 248. 0.04 to 0.08 was added to the standard deviation of each term because there are few curves. The shares are
+/// The kinds of curves. Their distributions were fitted to measured or computed curves, at pixel values 16 to 248. The
+/// standard deviation of each term was increased by 0.04 to 0.08, because there are few curves. The shares are
 /// estimates and matter little: doubling the share of renderings or of films changes the mean error of rendered and of
 /// photographed brackets by less than 1 %.
 const KINDS: [Kind; 5] = [
@@ -112,8 +113,8 @@ struct Curve {
     rise: Vec<f64>,
 }
 
-/// The exposure ratio of the two pixel values of a match under a curve, `to` over `from`, in stops, and its derivative
-/// with respect to each term.
+/// For a match and a curve: the exposure of pixel value `to` divided by the exposure of pixel value `from`, in stops,
+/// and the derivative of this ratio with respect to each term.
 struct Ratio {
     stops: f64,
     change: Vector4<f64>,
@@ -161,7 +162,7 @@ pub(super) struct Fit {
     pub(super) likelihood: f64,
     /// Step of each pair, in EV.
     pub(super) steps: Vec<f64>,
-    /// Variance of each step under the assumption that this curve is true.
+    /// Variance of each step, if this curve is the true one.
     pub(super) variances: Vec<f64>,
     /// Standard deviation of the logarithm of the common factor of all steps, which the matches do not determine.
     pub(super) scale: f64,

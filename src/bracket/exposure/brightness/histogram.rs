@@ -6,8 +6,8 @@
 use super::curve::{Match, Pair};
 use crate::bracket::Samples;
 
-/// Range of pixel values that are neither clipped nor lost in the noise and flare of shadows. In scans, pixel values
-/// below this range do not depend on the exposure.
+/// Range of well exposed pixel values: they are not clipped, and are above the noise and flare of shadows. In scans,
+/// pixel values below this range do not depend on the exposure.
 const EXPOSED: (usize, usize) = (24, 250);
 /// Range that is used where [`EXPOSED`] leaves too few matches.
 const BARELY_EXPOSED: (usize, usize) = (2, 252);
@@ -45,8 +45,8 @@ impl Histogram {
         self.below[256]
     }
 
-    /// Returns the pixel value below which `rank` of the counted values lie, if the values of each bin are spread
-    /// evenly over one unit.
+    /// Returns the pixel value, between integers, that is larger than `rank` of the counted values. The values in each
+    /// bin are treated as evenly spread over one unit.
     fn code_at(&self, rank: f64) -> f64 {
         let k = self.below[1..].partition_point(|&n| (n as f64) < rank).min(255);
         let within = (rank - self.below[k] as f64) / self.counts[k].max(1) as f64;

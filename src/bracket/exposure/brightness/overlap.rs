@@ -4,11 +4,11 @@
 //! absolute differences of ranks over coarse images, as in a pyramid search.
 //!
 //! The parts outside the overlap may be a tenth of an image. Where they are bright, they change the ranks of all other
-//! points. Ranks of pixel values do not depend on the exposure, so the best shift is the one for which the ranks of
-//! both frames differ least. (The bitmaps of Ward 2003 are ranks compared with one half.) The clipped points of a frame
-//! have no order among themselves, nor have its black points, so the points at the same ranks in the other frame get
-//! equal ranks as well. Points are sampled and not averaged, because the mean of several pixel values is not the pixel
-//! value of their mean radiance.
+//! points. Ranks of pixel values do not depend on the exposure, so the best shift is the one with the smallest
+//! difference between the ranks of both frames. (The bitmaps of Ward 2003 are ranks compared with one half.) All
+//! clipped points of a frame have the same rank, and so have all its black points. So the points of the other frame at
+//! these ranks are given equal ranks as well. Points are sampled and not averaged, because the mean of several pixel
+//! values is not the pixel value of their mean radiance.
 
 /// Maximum number of points along the longer side of a [`View`].
 const LENGTH: usize = 384;
@@ -88,8 +88,8 @@ pub(super) fn overlap(a: &View, b: &View) -> Option<[[u64; 256]; 2]> {
     ((right, down) != (0, 0)).then(|| [a.counts(ys.0, xs.0), b.counts(ys.1, xs.1)])
 }
 
-/// Returns the ranges of the points of a first and of a second row in which the two rows overlap. Both rows have
-/// `length` points, and point `i` of the second row is at point `i + by` of the first row.
+/// Two rows of `length` points overlap: point `i` of the second row is at point `i + by` of the first row. Returns the
+/// range of overlapping points in the first row, and the range in the second row.
 fn both(length: usize, by: isize) -> (std::ops::Range<usize>, std::ops::Range<usize>) {
     let (more, less) = (by.max(0) as usize, (-by).max(0) as usize);
     (more.min(length)..length - less.min(length), less.min(length)..length - more.min(length))

@@ -1,13 +1,13 @@
 //! Combines the exposure steps estimated under each kind of curve with a prior of the steps that cameras are set to.
 //!
 //! In: for each kind of curve, the steps between neighbouring frames, with uncertainties. Out: the mean of each step,
-//! and the covariances of the steps. Cost: a table of some hundred factors and twenty steps, for each pair of frames
-//! and each kind.
+//! and the covariances of the steps. Cost: for each pair of frames and each kind, a table for some hundred factors and
+//! twenty step sizes.
 //!
 //! The common factor of all steps is uncertain by several percent, but photographers set steps of thirds of an EV,
 //! mostly of whole EVs, and mostly the same step between all frames. So each possible factor is weighted by how close
-//! the multiplied steps are to such values. Probability densities are those of the logarithm of a step, so that they do
-//! not depend on the kind of curve.
+//! the multiplied steps are to such values. All probability densities are with respect to the logarithm of a step, so
+//! that they do not depend on the kind of curve.
 
 use super::curve::{self, Fit, Pair};
 use std::f64::consts::PI;
@@ -36,17 +36,18 @@ const THIRDS: usize = 18;
 const WHOLE: f64 = 0.45;
 const THIRD: f64 = 0.15;
 const OTHER: f64 = 0.4;
-/// Probability density of other steps, with respect to the logarithm of the step: uniform from 0.2 to 6 EV, which
-/// is 1 / ln(30).
+/// Probability density of other steps, with respect to the logarithm of the step. The density is uniform from 0.2 to 6
+/// EV: 1 / ln(6 / 0.2) = 1 / ln(30).
 const ANY: f64 = 0.3;
-/// `EVEN` is the prior probability that a bracket of three or more frames has equal steps, and `ODD` is that of a
-/// single step of such a bracket differing from the others. These are estimates: 0.3 or 0.8 for `EVEN`, and 0.1 for
-/// `ODD`, give results that are as good.
+/// `EVEN` is the prior probability that a bracket of three or more frames has equal steps. `ODD` is the prior
+/// probability that a step of such a bracket still differs from the others. These are estimates: 0.3 or 0.8 for `EVEN`,
+/// and 0.1 for `ODD`, give results that are as good.
 const EVEN: f64 = 0.6;
 const ODD: f64 = 0.2;
-/// Standard deviation of a step under the true curve: `SHARE_OFF` is that due to the shutter, relative to the step;
-/// `EV_OFF` is that due to flicker and motion, in EV. `EV_OFF` is divided by the square root of the share of matched
-/// pixels, and the result is at most `MOST_OFF`. Measured on camera brackets with known exposures.
+/// Standard deviation of a step, even if the curve is the true one. It has two parts. `SHARE_OFF` is due to the
+/// shutter, as a fraction of the step. `EV_OFF` is due to flicker and motion, in EV; it is divided by the square root
+/// of the fraction of matched pixels, and the quotient is at most `MOST_OFF`. Measured on camera brackets with known
+/// exposures.
 const SHARE_OFF: f64 = 0.02;
 const EV_OFF: f64 = 0.04;
 const MOST_OFF: f64 = 0.2;
@@ -55,7 +56,7 @@ const NO_STEP: f64 = 0.15;
 /// Number of common factors that are tried on either side of 1, and the spacing of their natural logarithms.
 const FACTORS: i32 = 100;
 const FACTOR: f64 = 0.005;
-/// A hypothesis is dropped if its log likelihood is smaller than the best by this or more.
+/// A hypothesis is dropped if its log likelihood is smaller than the largest log likelihood by this or more.
 const NEVER: f64 = 14.0;
 
 /// A hypothesis for the steps: its log likelihood, and the mean and the variance of each step.

@@ -1,5 +1,5 @@
-//! Tests of exposure steps that are estimated from pixels. The frames are computed from a scene, with the sRGB curve
-//! (as renderings have it) or with the tone curves of typical cameras.
+//! Tests of exposure steps that are estimated from pixels. The frames are computed from a scene, with the sRGB curve,
+//! which renderings have, or with the tone curves of typical cameras.
 
 use super::*;
 use crate::bracket::colour::linear_to_srgb;
@@ -182,11 +182,12 @@ fn the_few_are_at_odds_with_the_many() {
     };
     assert_eq!(with(&[(2, 20.0)]), Some(vec![2]));
     assert_eq!(with(&[(1, -9.0), (3, 7.0)]), Some(vec![1, 3]));
-    // The odd frame is found even if the contrast of the camera is unusual. With half of the contrast of sRGB, the
-    // measured steps are a third of the true steps.
+    // The odd frame is found even if the contrast of the camera is unusual. The camera here has half of the contrast of
+    // sRGB. All measured steps are then much too small, about a third of the true steps.
     let flat: Vec<_> = [-4.0, 0.0, 4.0, 2.0].map(|ev| seen(ev, (0.0, 0.5), 0)).into();
     assert_eq!(at_odds(&[-4.0, 0.0, 20.0, 2.0], &flat), Some(vec![2]));
-    // Leaving out frame 1 or frame 2 removes the contradiction. The remaining step agrees best if frame 1 is left out.
+    // Without frame 1, or without frame 2, there is no contradiction. The written and the measured step agree better
+    // without frame 1.
     assert_eq!(at_odds(&[-2.0, 2.5, 2.0], &frames[..3]), Some(vec![1]));
     // Three of five frames are not a minority. Of three frames in reverse order, any two contradict each other.
     assert_eq!(with(&[(0, 9.0), (1, -9.0), (3, 14.0)]), None);
