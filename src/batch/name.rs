@@ -109,7 +109,7 @@ impl Template {
         }
         if Path::new(text).components().any(|c| !matches!(c, Component::Normal(_) | Component::CurDir)) {
             return Err(refused(format!(
-                "{text:?} would write outside of the folder for results; give a name inside it"
+                "{text:?} begins with `/` or contains `..`; give a path inside the folder for results"
             )));
         }
         if text.is_empty() || text.ends_with('/') {
@@ -211,8 +211,8 @@ mod tests {
             ("{lens}", "{folder}"),
             ("{first", "brace"),
             ("first}", "brace"),
-            ("../{first}", "outside of"),
-            ("/tmp/{first}", "outside of"),
+            ("../{first}", "contains `..`"),
+            ("/tmp/{first}", "begins with"),
             ("{folder}/", "does not end with a name"),
             ("", "does not end with a name"),
         ] {

@@ -57,7 +57,7 @@ pub enum Warning {
     },
     /// All frames together cover less than half of the reference.
     #[error(
-        "{}: covers only {:.0} % of the reference, and the part that all frames cover is only {:.0} %; exclude it with --leave-out, or keep the whole reference with --crop none",
+        "{}: the largest rectangle of the reference that it covers is {:.0} % of it, and the largest that all frames cover {:.0} %; exclude it with --leave-out, or keep the whole reference with --crop none",
         path.display(),
         100.0 * overlap,
         100.0 * common
@@ -164,7 +164,7 @@ pub enum Warning {
     },
     /// The camera tone-mapped the frames locally, so their values depend on more than the exposure.
     #[error(
-        "{}: locally processed by the camera (parts brightened or darkened); this was compensated for, but radiance is \
+        "{}: locally processed by the camera (parts brightened or darkened); radiance was compensated for it, but is \
          approximate; to merge the frames unchanged, give --response-model srgb",
         named(paths)
     )]

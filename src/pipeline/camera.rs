@@ -231,8 +231,8 @@ fn plots(
     if let Some(fits) = &recovered.channels {
         let residuals = fits.map(|fit| format!("{:.3}", fit.residual_stops));
         notes += &format!(
-            " Dots: sampled places of the scene; each place has one dot for each frame. Distance of the dots from the curves of \
-             red, green and blue (root mean square): {} stops.",
+            " Dots: sampled places of the scene; each place has one dot for each frame in which it is neither clipped nor \
+             black. Distance of the samples from the curves of red, green and blue (root mean square): {} stops.",
             residuals.join(", ")
         );
     }

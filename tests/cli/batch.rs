@@ -149,7 +149,7 @@ fn results_have_the_requested_names_and_formats() {
         assert!(run.code == 2 && run.stderr.contains(said), "{run:?}");
     };
     wrong(&["--name", "{lens}"], "{camera}");
-    wrong(&["--name", "../{first}"], "outside of");
+    wrong(&["--name", "../{first}"], "contains `..`");
     wrong(&["--formats", "exr,gif"], "gif");
     wrong(&["--formats", "exr,exr"], "twice");
     wrong(&["--bracket", "1"], "at least 2 photographs");

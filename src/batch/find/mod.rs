@@ -149,7 +149,7 @@ impl fmt::Display for Reason {
             Reason::NoExposure => {
                 write!(f, "its EXIF has no exposure; group the photographs with --bracket N or --by-folder")
             }
-            Reason::Flash => write!(f, "the flash fired, but not for the photographs before and after it"),
+            Reason::Flash => write!(f, "the flash fired, but not for other photographs of this camera in its folder"),
             Reason::Single => write!(
                 f,
                 "a single photograph: no other exposure of the scene is close enough in time; --gap sets the longest pause, --bracket N the number of frames"

@@ -112,8 +112,12 @@ fn response(report: &Report, curve: &ResponseCurve) -> String {
     let low = all().map(|g| stops(g[1])).fold(f64::MAX, f64::min).max(-DEEPEST);
     let high = all().map(|g| stops(g[CODES - 1])).fold(f64::MIN, f64::max);
     let x = Axis::at(0.0, 255.0, [0, 64, 128, 192, 255], "pixel value");
-    let mut plot =
-        Figure::new((520.0, 340.0), 0.0, x, Axis::round(low, high, 8, "exposure in stops; 0 gives pixel value 128"));
+    let mut plot = Figure::new(
+        (520.0, 340.0),
+        0.0,
+        x,
+        Axis::round(low, high, 8, "exposure in stops; 0 gives pixel value 128 in the mean of the colours"),
+    );
     let points = |g: &[f64; CODES]| {
         let deep = |z: &usize| stops(g[*z]) >= -DEEPEST;
         (0..CODES).filter(deep).map(|z| (z as f64, stops(g[z]))).collect::<Vec<_>>()

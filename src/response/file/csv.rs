@@ -72,7 +72,7 @@ pub(crate) fn read(text: &str) -> Result<ResponseCurve, String> {
     let mut g = [[0.0; CODES]; 3];
     for ((g, x), name) in g.iter_mut().zip(&channels).zip(["red", "green", "blue"]) {
         *g = logarithms(x).ok_or_else(|| {
-            format!("the response of {name} must be positive, and must increase from each pixel value to the next")
+            format!("the response of {name} must not decrease from one pixel value to the next, and must be positive from the middle on")
         })?;
     }
     let mid = g.iter().map(|g| g[MID]).sum::<f64>() / 3.0;
@@ -216,7 +216,7 @@ mod tests {
         let rows = |columns: usize, row: &str| format!("# rows: 256\n# columns: {columns}\n") + &row.repeat(256);
         assert!(read("1;2;3\n").unwrap_err().contains("# rows: 256"));
         assert!(read(&rows(7, "0 1 2 3\n")).unwrap_err().contains("not have 7 numbers"));
-        assert!(read(&rows(7, "0 1 2 1 2 1 2\n")).unwrap_err().contains("must be positive"));
+        assert!(read(&rows(7, "0 1 2 1 2 1 2\n")).unwrap_err().contains("must not decrease"));
         assert!(read("# rows: 16\n# columns: 7\n").unwrap_err().contains("16 rows"));
         assert!(read("# rows: many\n").unwrap_err().contains("many"));
         assert!(read("# rows: 256\n# columns: 7\n0 0 1 0 1 0 1\n").unwrap_err().contains("ends after 1"));

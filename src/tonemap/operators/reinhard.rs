@@ -41,7 +41,7 @@ impl Options {
                 "key",
                 (0.01, 2.0),
                 &mut self.key,
-                "brightness of the scene's average (geometric mean), 0 to 1, before highlights are compressed",
+                "brightness of the scene's average (geometric mean) before highlights are compressed; 1 is white",
             ),
             Setting::estimated(
                 "white",
