@@ -67,12 +67,12 @@ pub struct Row {
     pub brief: Brief,
 }
 
-/// A photograph that is in no bracket.
+/// A photograph that is in no bracket, or a folder that cannot be read.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Unused {
     /// The path of the file.
     pub path: String,
-    /// Why it is in no bracket.
+    /// Why it is in no bracket, or why the folder cannot be read.
     pub reason: String,
 }
 
@@ -106,7 +106,8 @@ pub struct Summary {
     /// The jobs, in the order of the plan (`steps` in the JSON).
     #[serde(rename = "steps")]
     pub jobs: Vec<Row>,
-    /// Photographs that are in no bracket; null if the summary is made from a plan, which does not contain them.
+    /// Photographs that are in no bracket, and folders that cannot be read; null if the summary is made from a plan,
+    /// which does not contain them.
     pub left_over: Option<Vec<Unused>>,
     /// Wall time in seconds; null if the summary is made from files, because the jobs may have run on other machines.
     pub time_s: Option<f64>,

@@ -1,8 +1,8 @@
 //! The command line: conversion of arguments to library options, progress, printing, and exit codes.
 //!
-//! Only results are printed to stdout: the paths of the written files, JSON with `--json`, or text that the user
-//! requested (the brackets of a dry run, parameters, help, completions, the man page). Everything else goes to
-//! stderr.
+//! Only results are printed to stdout: the paths of the result files (for `batch` also those of earlier runs), JSON
+//! with `--json`, or text that the user requested (the brackets of a dry run, parameters, help, completions, the man
+//! page). Everything else goes to stderr.
 
 mod arguments;
 mod commands;
@@ -170,8 +170,8 @@ fn ended(name: &str, outcome: Result<ExitCode, Error>) -> ExitCode {
     }
 }
 
-/// `asked` is what clap returns instead of arguments. Prints it (help and version on stdout, an error in the
-/// arguments on stderr), and returns the exit code.
+/// `asked` is what clap returns instead of arguments. Prints it, and returns the exit code. Requested help and version
+/// are printed on stdout; an error in the arguments, or the help if there are no arguments, on stderr.
 fn answer(asked: &clap::Error) -> ExitCode {
     let printed = asked.print().and_then(|()| std::io::stdout().flush());
     match printed.map_or_else(lost, Ok) {

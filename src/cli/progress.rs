@@ -82,7 +82,7 @@ impl Plan {
 
 /// Returns the number of photographs, and their size in megapixels from the header of the first photograph.
 fn size(images: &[PathBuf]) -> (f64, f64) {
-    // This reader of headers decompresses nothing, and it does not read from pipes.
+    // This reader of headers decompresses no pixels, and it does not read from pipes.
     let header = images.first().and_then(|path| Header::read(path, &Limits::default()).ok());
     let megapixels = header.map_or(USUAL_MEGAPIXELS, |header| header.width as f64 * header.height as f64 / 1e6);
     (images.len() as f64, megapixels)
@@ -225,7 +225,7 @@ impl Bar {
         let target = if is_shown { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
         let bar = ProgressBar::with_draw_target(Some(STEPS), target);
         // The line has at most 79 columns. The parts beside the bar take 42 of them: stage 18, brackets and spaces 4,
-        // percentage 5, two spaces, time left 13. Two columns stay free.
+        // percentage 5, two spaces, time left 13. In a terminal of at least 52 columns, two or more columns stay free.
         let room = terminal.width.min(79).saturating_sub(44).clamp(8, 35);
         if let Ok(style) =
             ProgressStyle::with_template(&format!("{{msg:18!}} [{{bar:{room}}}] {{percent:>3}} %  {{prefix}}"))

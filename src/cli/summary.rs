@@ -158,8 +158,9 @@ fn problems(report: &Report, room: usize) -> String {
     // and not a problem.
     let assumed = which(&|f| f.alignment.status == Status::Assumed && !report.stood_still());
     let is_placed = |f: &FrameReport| matches!(f.alignment.status, Status::Aligned | Status::Unmoved);
-    // If an aligned or unmoved frame has a reason, nothing could be aligned and the frame is assumed to be unmoved. A
-    // separate warning reports this, so the frame does not count as uncertain here.
+    // The alignment gives a reason to an aligned or unmoved frame only if no frame could be aligned and all are left
+    // unmoved. A separate warning reports this, so such frames do not count as uncertain here. A file of transforms can
+    // give a reason to any frame; these frames do not count as uncertain either.
     let is_uncertain = |f: &FrameReport| f.alignment.reason.is_none() && f.alignment.confidence < UNCERTAIN;
     let uncertain = which(&|f| is_placed(f) && is_uncertain(f));
     let flash = which(&|f| f.alignment.status == Status::Flash);
@@ -217,8 +218,10 @@ fn plain(value: f64) -> String {
     format!("{value:.*}", (2.0 - value.log10().floor()).max(0.0) as usize)
 }
 
-/// Returns a text with the paths of the files. If they do not fit into `room` columns, a name that several files have
-/// in common is listed once with all its extensions, and the common folder is listed once at the end.
+/// Returns a text with the paths of the files. If they do not fit into `room` columns, the names are listed without
+/// folders; a name that differs from the previous one only in its extension is listed as this extension. If this does
+/// not fit either, only the number of files and the first name are given. The common folder is listed once at the end
+/// if at least 12 columns remain for it.
 fn files(outputs: &[String], room: usize) -> String {
     let Some(first) = outputs.first() else { return "none written".into() };
     let whole = outputs.join(", ");

@@ -23,7 +23,7 @@ pub struct Terminal {
 
 impl Terminal {
     /// Returns the properties of stderr of this process. Colours are used only if stderr is a terminal. They are not
-    /// used if the environment variable NO_COLOR is set, CLICOLOR is 0, or TERM is `dumb`.
+    /// used if the environment variable NO_COLOR is set and not empty, CLICOLOR is 0, or TERM is `dumb`.
     pub fn of_stderr() -> Terminal {
         if !std::io::stderr().is_terminal() {
             return Terminal { width: NO_TERMINAL, has_colours: false, can_redraw: false };

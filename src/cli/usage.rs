@@ -1,13 +1,13 @@
 //! Improves the messages for errors in the arguments: only likely suggestions, and the usage of the right command.
 //!
-//! In: the error of clap. Out: the error without misleading parts. For example, clap suggests `--response` for
-//! `--resize`, and shows the usage of the suggested option. Cost: none.
+//! In: the error of clap. Out: the error without misleading parts. clap suggests an option even if its name is
+//! only somewhat similar, such as `--response` for `--resize`, and shows the usage of the suggested option. Cost: none.
 
 use clap::Command;
 use clap::error::{ContextKind, ContextValue, Error};
 
 /// Returns `error` with only likely suggestions. If it shows a usage, this is the usage of `command` in `program`, or
-/// of `program` itself if `command` is `None`.
+/// of `program` itself if `command` is not the name of a command.
 pub fn clear(mut error: Error, program: &mut Command, command: Option<&str>) -> Error {
     for (typed, tip) in [
         (ContextKind::InvalidArg, ContextKind::SuggestedArg),

@@ -4,8 +4,14 @@ use std::path::PathBuf;
 
 /// A warning about a result.
 ///
-/// The text ends with what to do, after the last semicolon. Measured values are in parentheses or follow a colon. The
-/// HTML report relies on this form.
+/// The HTML report relies on the form of the text:
+///
+/// - If the text says what to do, this is its last part, after the last semicolon. In some warnings the last part says
+///   what was done instead, as in [`ResponseFallback`](Self::ResponseFallback). The HTML report does not distinguish
+///   them.
+/// - Most measured values are in parentheses or follow a colon. Warnings that differ only in such values and in their
+///   frames are shown once. A warning with another form, such as [`ExposureBounded`](Self::ExposureBounded), is shown
+///   once for each frame.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Warning {

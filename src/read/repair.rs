@@ -15,7 +15,8 @@ use std::path::Path;
 pub struct Repaired {
     /// Number of pixels with NaN, which become black.
     pub not_numbers: usize,
-    /// Number of pixels with an infinite value, which become the largest finite value of the picture.
+    /// Number of pixels with an infinite value. The value becomes the largest finite value of the picture, and keeps
+    /// its sign.
     pub infinite: usize,
     /// Number of pixels with a negative value, that is, with a colour outside the gamut of the primaries. These pixels
     /// are desaturated at their luminance until they are inside; black if the luminance is not positive.

@@ -113,7 +113,7 @@ pub enum Reason {
     Unreadable(String),
     /// Its EXIF has no exposure.
     NoExposure,
-    /// The flash fired for it, but not for the photographs around it.
+    /// The flash fired for it, but not for some other photographs of the same camera, lens, size and folder.
     Flash,
     /// No photograph of another exposure is close enough in time.
     Single,

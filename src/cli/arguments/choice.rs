@@ -1,5 +1,5 @@
-//! Command-line arguments whose values are the variants of an enum of the library. The argument accepts the names of
-//! the variants, and `--help` lists them with their doc comments.
+//! Command-line arguments whose values have names; most values are the variants of an enum of the library. The argument
+//! accepts the names, and `--help` lists them with their descriptions. The description of a variant is its doc comment.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Arg, Command};

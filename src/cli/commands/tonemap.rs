@@ -18,8 +18,9 @@ use std::process::ExitCode;
 const AFTER_HELP: &str = "\
 The input may come from any program: .exr, .hdr, and .tif with floating-point (as from Photoshop)
 or LogLuv pixels. Some programs write pixels with impossible values. These are changed, with a
-warning: NaN (not a number) becomes black, an infinite value the largest finite value of the
-image, and a colour with a negative value becomes less saturated.
+warning. A pixel with NaN (not a number) becomes black. An infinite value becomes the largest
+finite value of the image, and keeps its sign. Then a colour with a negative value becomes less
+saturated, or black if its luminance is not positive.
 
 Examples:
   hdralign tonemap room.exr                           write room.png beside it

@@ -1,4 +1,5 @@
-//! The memory allocator (mimalloc). If memory is limited, freed memory is returned to the system at once.
+//! The memory allocator (mimalloc). On Unix, freed memory is returned to the system after a millisecond if the user
+//! limits memory with `--max-memory`, and in `batch --run`. The default limit of memory does not have this effect.
 //!
 //! By default, mimalloc keeps freed pages for a second. The resident memory then depends on the speed of the machine,
 //! and can be twice the memory in use. With a delay of a millisecond, it exceeds the memory in use by only a few
@@ -11,9 +12,8 @@ use clap::ArgMatches;
 #[cfg(unix)]
 const DELAY: (&str, &str) = ("MIMALLOC_PURGE_DELAY", "1");
 
-/// Executes this program again with [`DELAY`] in its environment if memory is limited, that is with `--max-memory` or
-/// for `batch --run`. Does nothing if the environment already sets a delay, or if the system cannot execute the
-/// program again.
+/// Executes this program again with [`DELAY`] in its environment if `--max-memory` or `batch --run` is given. Does
+/// nothing if the environment already sets a delay, or if the system cannot execute the program again.
 #[cfg(unix)]
 pub fn give_back_soon(matches: &ArgMatches) {
     use std::env;

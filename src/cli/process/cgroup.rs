@@ -19,7 +19,8 @@ struct Version {
     /// The name of the memory controller, in `/proc/self/cgroup` and in the mount options. It is empty for version 2,
     /// in which all controllers have the same hierarchy.
     controller: &'static str,
-    /// Names of the files with a limit. They contain a number of bytes, or a word such as `max` if there is no limit.
+    /// Names of the files with a limit. They contain a number of bytes. If there is no limit, they contain a word such
+    /// as `max` in version 2, and a huge number in version 1.
     limits: &'static [&'static str],
     usage: &'static str,
     /// Keys in the file `memory.stat` for memory that the kernel can reclaim before it refuses memory.
@@ -44,9 +45,9 @@ const VERSIONS: [Version; 2] = [
     },
 ];
 
-/// Returns the number of bytes that this process may use in addition to those in use. Every group of the process has
-/// such a number, and the smallest counts. Returns `None` if no group has a limit. `root` is the root of the file
-/// system.
+/// Returns the number of bytes that this process may use in addition to those in use. It is the smallest number that
+/// [`Version::free`] returns for the groups of the process; `None` if it returns no number. `root` is the root of the
+/// file system.
 pub fn free(root: &Path) -> Option<u64> {
     let groups = fs::read_to_string(root.join("proc/self/cgroup")).ok()?;
     let mounts = fs::read_to_string(root.join("proc/self/mountinfo")).ok()?;
@@ -82,8 +83,8 @@ impl Version {
         inside.or_else(|| mounted().next().map(|(_, mount)| (mount.clone(), mount)))
     }
 
-    /// Parses a `line` of mountinfo. Returns the group that is mounted, and its mount point; `None` for other file
-    /// systems.
+    /// Parses a `line` of mountinfo. Returns the group that is mounted, and its mount point. Returns `None` for other
+    /// file systems, and in version 1 also for control groups without the memory controller.
     fn mount(&self, line: &str) -> Option<(PathBuf, PathBuf)> {
         let (place, what) = line.split_once(" - ")?;
         let mut what = what.split(' ');
@@ -96,9 +97,10 @@ impl Version {
         Some((place.next()?, place.next()?))
     }
 
-    /// Returns the bytes that the group in `folder` allows in addition to those in use; `None` if it has no limit.
-    /// `is_own` is true for the process's own group. In version 1, a group does not limit the groups below it if its
-    /// file `memory.use_hierarchy` contains 0; this also returns `None`.
+    /// Returns the bytes that the group in `folder` allows in addition to those in use. Returns `None` for a group of
+    /// version 2 without a limit; for such a group of version 1, returns a huge number. `is_own` is true for the
+    /// process's own group. In version 1, a group does not limit the groups below it if its file
+    /// `memory.use_hierarchy` contains 0; this also returns `None`.
     fn free(&self, folder: &Path, is_own: bool) -> Option<u64> {
         let read = |name: &str| fs::read_to_string(folder.join(name)).ok();
         let number = |name: &str| read(name)?.trim().parse::<u64>().ok();

@@ -1,9 +1,9 @@
 //! Signals: Ctrl-C, termination, and resource limits of the process. After a signal, no incomplete file is left.
 //!
-//! A command stops at once and removes its temporary files. A batch first finishes the brackets that are in progress;
-//! a second signal stops it at once. If the process was started with a signal ignored, as by `nohup`, it continues to
-//! ignore this signal. A file that exceeds the limit of `ulimit -f` causes a write error, but does not end the
-//! process.
+//! A command stops at once and removes its temporary files. A batch (not `batch --run`) first finishes the brackets
+//! that are in progress; a second signal stops it at once. If the process was started with a signal ignored, as by
+//! `nohup`, it continues to ignore this signal. A file that exceeds the limit of `ulimit -f` causes a write error, but
+//! does not end the process.
 
 use crate::cli::say;
 use hdralign::write;

@@ -1,5 +1,6 @@
-//! Handling of panics. The library catches panics of decoders; these print nothing. Other panics end the program with
-//! a message.
+//! Handling of panics. The library catches panics of decoders. `batch` (not `batch --run`) also catches panics of a
+//! job; then only this job fails. This module prints nothing for panics that are caught. A panic of the thread that
+//! moves the progress bar is ignored. Other panics of a command end the program with a message.
 
 use crate::cli::say;
 use std::backtrace::{Backtrace, BacktraceStatus};

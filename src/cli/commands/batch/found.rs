@@ -20,7 +20,7 @@ pub fn planned(found: &Found) -> Vec<Planned> {
     found.brackets.iter().map(Planned::from).collect()
 }
 
-/// Returns the photographs that are in no bracket, each with the reason.
+/// Returns the photographs in no bracket and the folders that cannot be read, each with the reason.
 pub fn unused(found: &Found) -> Vec<Unused> {
     let unused = |l: &LeftOver| Unused { path: l.path.to_string_lossy().into_owned(), reason: l.reason.to_string() };
     found.left_over.iter().map(unused).collect()
@@ -121,7 +121,8 @@ fn one_line(name: &str) -> String {
     name.chars().map(plain).collect()
 }
 
-/// Returns the number of photographs in no bracket. Results that hdralign wrote are not counted.
+/// Returns the number of photographs in no bracket, plus the number of folders that cannot be read. Results that
+/// hdralign wrote are not counted.
 pub fn left_over(found: &Found) -> usize {
     found.left_over.iter().filter(|left_over| !matches!(left_over.reason, Reason::Result(_))).count()
 }
@@ -131,8 +132,8 @@ pub fn unreadable(found: &Found) -> Vec<&LeftOver> {
     found.left_over.iter().filter(|left_over| matches!(left_over.reason, Reason::Unreadable(_))).collect()
 }
 
-/// Returns the photographs in no bracket, grouped by the kind of reason. The groups are in the order of their first
-/// photographs.
+/// Returns the photographs in no bracket and the folders that cannot be read, grouped by the kind of reason. The groups
+/// are in the order of their first entries.
 fn by_kind(found: &Found) -> Vec<Vec<&LeftOver>> {
     let mut groups: Vec<Vec<&LeftOver>> = Vec::new();
     for left_over in &found.left_over {

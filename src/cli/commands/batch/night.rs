@@ -66,7 +66,7 @@ struct Board {
     jobs: usize,
     ended: AtomicUsize,
     /// Estimated times in seconds. The first number is the sum over all jobs. The pair contains the sum over the
-    /// ended jobs that this run worked on, and the sum over all ended jobs.
+    /// ended jobs that were not already done in an earlier run, and the sum over all ended jobs.
     planned: (f64, Mutex<(f64, f64)>),
     quiet: bool,
     verbose: bool,
@@ -196,7 +196,8 @@ pub fn open_home(path: &Path, args: &Args) -> Result<PathBuf, Error> {
     Ok(home)
 }
 
-/// The photographs in no bracket: their number, and those that cannot be read.
+/// The photographs in no bracket and the folders that cannot be read: their number, and the photographs and folders
+/// that cannot be read.
 pub struct LeftOver<'a> {
     count: usize,
     unreadable: Vec<&'a find::LeftOver>,
@@ -215,8 +216,9 @@ fn limits(work: &Work, jobs: Option<usize>, home: &Path) -> Result<Limits, Error
     Ok(Limits { jobs: jobs.unwrap_or(threads), threads, memory: work.memory(|| home.to_owned()) })
 }
 
-/// Writes the summary to `path`, prints it, and returns the exit code. If a photograph cannot be read or the summary
-/// cannot be written, a batch that did all its jobs gets the exit code for a partly done batch.
+/// Writes the summary to `path`, prints it, and returns the exit code. If a folder or the header of a photograph cannot
+/// be read, or if the summary cannot be written, a batch that did all its jobs gets the exit code for a partly done
+/// batch.
 pub fn finish(summary: &Summary, path: &Path, left_over: Option<&LeftOver>, args: &Args) -> Result<ExitCode, Error> {
     let files = summary.write(path, args.work.force);
     if !args.work.quiet {
