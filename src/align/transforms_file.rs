@@ -271,7 +271,7 @@ mod tests {
         let json = saved().to_json();
         let refused = |text: &str| SavedAlignment::from_json(text, Path::new("t.json")).unwrap_err().to_string();
         for (text, says) in [
-            ("no json".to_owned(), "not JSON"),
+            ("no json".to_owned(), "not a JSON object"),
             (json.replace("transforms/1", "transforms/9"), "schema"),
             (json.replace("-7.25", "1e999"), "t.json"),
             (json.replace("0.999", "-0.999"), "a.jpg: its homography"),

@@ -264,6 +264,6 @@ mod tests {
     fn missing_rows_are_an_error() {
         let mut bands = Bands::<u8>::new((2, 100));
         bands.push(&[0u8; 140], |_, _, (), _| (), |_, ()| Ok(())).unwrap();
-        assert_eq!(bands.complete().unwrap_err().to_string(), "only 70 of 100 rows were given");
+        assert_eq!(bands.complete().unwrap_err().to_string(), "only 70 of the 100 rows of pixels were written");
     }
 }

@@ -404,7 +404,7 @@ mod tests {
         let mut files = Files::begin(&outputs, (width, height), &metadata, &options, settled).unwrap();
         files.push(radiance.pixels.as_slice(), &[], Codes::Eight(&[])).unwrap();
         files.push(&[], &[], Codes::Eight(&picture.pixels.as_slice()[..width])).unwrap();
-        assert!(files.finish().unwrap_err().to_string().contains("only 1 of 323 rows"));
+        assert!(files.finish().unwrap_err().to_string().contains("only 1 of the 323 rows"));
         assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 3, "nothing but the folders");
     }
 }

@@ -46,7 +46,7 @@ fn transforms_of_other_photographs_are_refused() {
         ("t.json", text.replace("w3.jpg", "other.jpg"), "other photographs"),
         ("t.json", text.replace("w3.jpg", "w2.jpg"), "--reference w2.jpg"),
         ("t.json", text.replace("w2.jpg", "x.jpg").replace("w4.jpg", "y.jpg"), "none of these"),
-        ("t.json", "nonsense".into(), "not JSON"),
+        ("t.json", "nonsense".into(), "not a JSON object"),
     ] {
         folder.put(file, changed.as_bytes());
         let run = folder.line("merge w2.jpg w3.jpg w4.jpg --reference 2 --transforms t.json -o a.exr");

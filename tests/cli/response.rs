@@ -96,7 +96,7 @@ fn failed_calibrations_leave_no_files() {
     refused("response night church/1.jpg -o c.json", 2, "at least two");
     refused("response night -o c.txt", 2, ".json, .rsp, .csv");
     refused("response night -o c.json --plot c.pdf", 2, ".svg, .png");
-    refused("response night church --leave-out nobody.jpg -o c.json", 2, "is in no bracket");
+    refused("response night church --leave-out nobody.jpg -o c.json", 2, "in none of the brackets");
     // Frames with equal pixels of one colour do not determine a response.
     fs::create_dir(folder.at("night/flat")).expect("a folder");
     for name in ["a", "b"] {
