@@ -25,7 +25,7 @@ impl<T> Plane<T> {
     /// # Panics
     /// If `data` does not have `width * height` values.
     pub fn from_vec(width: usize, height: usize, data: Vec<T>) -> Self {
-        assert_eq!(data.len(), width * height, "a plane of {width}x{height} needs as many values");
+        assert_eq!(data.len(), width * height, "a plane of {width}x{height} pixels needs one value for each of them");
         Plane { width, height, data }
     }
 

@@ -129,9 +129,12 @@ impl SavedAlignment {
     pub fn from_json(text: &str, path: &Path) -> Result<Self> {
         let wrong = |reason: String| Error::TransformsFile { path: path.to_owned(), reason };
         let header: Header = serde_json::from_str(text)
-            .map_err(|e| wrong(format!("it is not a JSON object with a text \"schema\" ({e})")))?;
+            .map_err(|e| wrong(format!("it is not a JSON object with the key \"schema\" ({e})")))?;
         if header.schema != SCHEMA {
-            return Err(wrong(format!("its schema is {:?}, but only {SCHEMA:?} is supported", header.schema)));
+            return Err(wrong(format!(
+                "it is a file of another kind or version: its schema is {:?}, but {SCHEMA:?} is required",
+                header.schema
+            )));
         }
         let document: Document = serde_json::from_str(text).map_err(|e| wrong(e.to_string()))?;
         let size = (document.width_px, document.height_px);

@@ -403,7 +403,10 @@ impl Job {
             if job.schema != SCHEMA {
                 return Err(refused(
                     i + 1,
-                    format!("its schema is {:?}, but only {SCHEMA:?} is supported", job.schema),
+                    format!(
+                        "it is a file of another kind or version: its schema is {:?}, but {SCHEMA:?} is required",
+                        job.schema
+                    ),
                 ));
             }
             if job.brackets.iter().try_fold(0_usize, |sum, n| sum.checked_add(*n)) != Some(job.inputs.len()) {

@@ -63,7 +63,7 @@ pub enum Warning {
     },
     /// All frames together cover less than half of the reference.
     #[error(
-        "{}: the largest rectangle of the reference that it covers is {:.0} % of it, and the largest that all frames cover {:.0} %; exclude it with --leave-out, or keep the whole reference with --crop none",
+        "{}: the result is cropped to {:.0} % of the reference, because this frame covers a rectangle of only {:.0} % of it; exclude it with --leave-out, or keep the whole reference with --crop none",
         path.display(),
         100.0 * overlap,
         100.0 * common

@@ -57,7 +57,7 @@ impl Tables {
                     "Table {}. {name}: motion found from each kind of keypoint alone, compared with the alignment",
                     4 + 2 * i
                 ),
-                "px: this motion and the alignment move a pixel to different positions; the distance of these positions (root mean square over the picture).",
+                "px: the distance between the positions to which this motion and the alignment move a pixel (root mean square over the picture).",
                 &["EV", "plain", "px", "MTB", "px", "merged", "px"],
                 &|frame| comparison_row(frame, detected(frame)),
             );

@@ -43,7 +43,9 @@ fn refuse_files(options: &Options) -> Result<()> {
     match given.into_iter().find(|(_, is_given)| *is_given) {
         None => Ok(()),
         Some((option, _)) => {
-            let reason = "it applies to files; leave it at its default for a bracket in memory".to_owned();
+            let reason =
+                "it applies to photographs that are read from files; leave it at its default for a bracket in memory"
+                    .to_owned();
             Err(Error::Option { option, reason })
         }
     }

@@ -140,7 +140,7 @@ fn floats(decoder: &mut Bytes, photometric: Option<u16>) -> Parsed<Vec<[f32; 3]>
         DecodingResult::F64(v) => v.into_iter().map(|v| v as f32).collect(),
         _ => {
             return Err(
-                "its samples are integers, which are encoded for a display; a radiance map has floating-point samples or LogLuv".into()
+                "it is a picture for display (its samples are integers); a radiance map has floating-point samples or LogLuv".into()
             );
         }
     };

@@ -348,7 +348,7 @@ fn together(channels: &[Fitted<Channel>], black: [f64; 3]) -> Fitted<(ResponseCu
     let codes = fits.map(|fit: Fit| if fit.borrowed { (0.0, 255.0) } else { fit.codes });
     let curve = ResponseCurve::new(ResponseCurve::neutralised(with_common_ends(g, codes)));
     let curve = curve.and_then(|curve| curve.with_black(black));
-    curve.map(|curve| (curve, fits)).ok_or_else(|| "the recovered curve is not finite".to_owned())
+    curve.map(|curve| (curve, fits)).ok_or_else(|| "the recovered curve contains infinite or invalid values".to_owned())
 }
 
 /// Combines the ratios of the channels, because a frame has one exposure, not three.

@@ -253,7 +253,7 @@ mod tests {
     #[test]
     fn samples_that_do_not_determine_a_curve_are_rejected() {
         let why = |samples: &[Sample]| channel(samples, &Options::default()).unwrap_err();
-        assert!(why(&scene(10, &[0.0, 2.0], |x| x.sqrt())).contains("without fine detail"));
+        assert!(why(&scene(10, &[0.0, 2.0], |x| x.sqrt())).contains("smooth areas"));
         assert!(Options { gain: 1.0, ..Options::default() }.validate().is_err());
     }
 }

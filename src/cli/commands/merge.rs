@@ -106,7 +106,9 @@ impl Args {
             None => Ok(()),
             Some(name) => {
                 let name = name.display();
-                let reason = format!("there is no photograph {name}; write --deghost={name} to set the strength");
+                let reason = format!(
+                    "{name} was taken for a photograph, but there is none of this name; if it is the strength, write --deghost={name}"
+                );
                 Err(Error::Option { option: "--deghost", reason })
             }
         }

@@ -34,7 +34,11 @@ pub(in crate::inspect) fn draw(title: &str, curves: &XorCurves, placed: bool) ->
         (&curves.by_dx, "shift to the right, px", dx, format!("{dx:.2} px")),
         (&curves.by_dy, "shift down, px", dy, format!("{dy:.2} px")),
     ];
-    let found = if placed { "the alignment" } else { "best match of the bitmaps; the frame was rejected" };
+    let found = if placed {
+        "the alignment"
+    } else {
+        "the motion for which the bitmaps match best; it is not used, because the frame was rejected"
+    };
     let legend = [
         Entry { mark: Mark::Patch, colour: CURVE, words: "differing pixels".into() },
         Entry { mark: Mark::Patch, colour: FOUND, words: found.into() },

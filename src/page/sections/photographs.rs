@@ -129,9 +129,10 @@ pub(in crate::page) fn moved(page: &Page, report: &Report) -> String {
 
 /// Returns the edges before and after alignment, with a slider between them.
 fn compare(overlay: &Overlay, name: &str) -> String {
-    let before_words = "Edges as photographed, before alignment.";
+    let before_words = "The edges before alignment.";
     let Some(after) = &overlay.after else {
-        let caption = "Edges as photographed. The frame could not be aligned, so there is no picture after alignment.";
+        let caption =
+            "The edges before alignment. The frame could not be aligned, so there is no picture after alignment.";
         return figure(&overlay.before, before_words, caption);
     };
     let ratio = overlay.before.width as f64 / overlay.before.height as f64;

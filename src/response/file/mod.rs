@@ -92,7 +92,7 @@ impl Loss {
         );
         let most = self.channel_stops.into_iter().fold(self.luminance_stops, f64::max);
         if most > RESIDUAL {
-            let reason = format!("radiance merged with this file would be {off}");
+            let reason = format!("if this response file is used, radiance will be {off}");
             return Err(Error::ResponseFormat { path: path.to_owned(), reason });
         }
         let detail = format!("radiance merged with this file is {off}; .json saves the curve exactly");
@@ -213,9 +213,12 @@ impl SavedResponse {
     pub fn from_json(text: &str, path: &Path) -> Result<Self> {
         let wrong = |reason: String| Error::ResponseFile { path: path.to_owned(), reason };
         let header: Header = serde_json::from_str(text)
-            .map_err(|e| wrong(format!("it is not a JSON object with a text \"schema\" ({e}){MAKE_ONE}")))?;
+            .map_err(|e| wrong(format!("it is not a JSON object with the key \"schema\" ({e}){MAKE_ONE}")))?;
         if header.schema != SCHEMA {
-            return Err(wrong(format!("its schema is {:?}, but only {SCHEMA:?} is supported", header.schema)));
+            return Err(wrong(format!(
+                "it is a file of another kind or version: its schema is {:?}, but {SCHEMA:?} is required",
+                header.schema
+            )));
         }
         let document: Document = serde_json::from_str(text).map_err(|e| wrong(e.to_string()))?;
         let Channels { red, green, blue } = document.ln_exposure;

@@ -59,7 +59,7 @@ pub struct Found {
 pub fn finish(samples: &[Sample], found: Found) -> Fitted<([f64; CODES], Fit)> {
     let Found { g, trust, condition, degree } = found;
     if g.iter().any(|v| !v.is_finite()) {
-        return Err("the recovered curve is not finite".to_owned());
+        return Err("the recovered curve contains infinite or invalid values".to_owned());
     }
     let mut weights = [1e-6; CODES];
     let all: f64 = samples.iter().zip(&trust).flat_map(|(s, t)| s.views.iter().map(move |v| t * square(v))).sum();
@@ -103,7 +103,7 @@ pub fn enough(samples: usize) -> Result<()> {
 pub fn check(samples: &[Sample]) -> Fitted<()> {
     if samples.len() < FEWEST {
         return Err(format!(
-            "only {} places without fine detail are unclipped in at least two frames; at least {FEWEST} are needed",
+            "only {} places in smooth areas are unclipped in at least two frames; at least {FEWEST} are needed",
             samples.len()
         ));
     }
@@ -116,8 +116,8 @@ pub fn check(samples: &[Sample]) -> Fitted<()> {
     }
     if codes.1 - codes.0 < SPAN {
         return Err(format!(
-            "the places without fine detail have only the pixel values {:.0} to {:.0}; \
-             the largest and the smallest must differ by at least {SPAN}",
+            "smooth areas have only pixel values from {:.0} to {:.0}; \
+             a range of at least {SPAN} is needed",
             codes.0, codes.1
         ));
     }

@@ -59,7 +59,7 @@ impl Options {
                 "noise",
                 (0.0, 3.0),
                 &mut self.noise,
-                "gradients that count as noise, relative to the mean",
+                "gradients up to this count as noise; 1 is the mean gradient of the scene",
             ),
             Setting::range(&mut self.range_stops),
             Setting::brightness(&mut self.brightness),

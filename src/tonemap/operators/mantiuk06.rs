@@ -50,7 +50,7 @@ impl Options {
                 "equalise",
                 (0.0, 1.0),
                 &mut self.equalise,
-                "how far perceived contrasts are made equally frequent: 0 not at all, 1 completely",
+                "equalisation of contrasts: 0 none, 1 full, where weak and strong contrasts occur equally often",
             ),
             Setting::range(&mut self.range_stops),
             Setting::brightness(&mut self.brightness),

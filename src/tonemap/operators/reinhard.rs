@@ -47,7 +47,7 @@ impl Options {
                 "white",
                 (0.1, 1e6),
                 &mut self.white,
-                "smallest luminance that becomes white, after the average of the scene was scaled to `key`",
+                "smallest luminance that becomes white; in its unit, the average of the scene is `key`",
             ),
             Setting::saturation(&mut self.saturation),
         ]

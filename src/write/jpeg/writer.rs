@@ -202,7 +202,7 @@ fn put_together(base: Strips, map: Option<Map>, mut segments: Vec<u8>) -> io::Re
     debug_assert_eq!(
         parts[0].len() + parts[1].len(),
         first_size,
-        "the index of the images has another size for the first image than the file"
+        "the first image has another length in bytes than its entry in the MPF index"
     );
     parts.extend(second);
     Ok(parts)
