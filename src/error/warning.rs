@@ -65,8 +65,8 @@ pub enum Warning {
     #[error(
         "{}: the result is cropped to {:.0} % of the reference, because this frame covers a rectangle of only {:.0} % of it; exclude it with --leave-out, or keep the whole reference with --crop none",
         path.display(),
-        100.0 * overlap,
-        100.0 * common
+        100.0 * common,
+        100.0 * overlap
     )]
     SmallOverlap {
         /// The frame that overlaps the reference least.
