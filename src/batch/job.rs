@@ -91,9 +91,9 @@ enum Prepared {
     Recovered(Box<pipeline::Prepared<CameraReport>>),
 }
 
-/// Runs `job`, except for giving its files their final names. The job replaces the files, the response and the unit
-/// of radiance in `options`. With `force` a finished job is run again, and existing files are replaced even if the
-/// job did not write them.
+/// Runs `job`, except for giving its files their final names. The files, the response and the unit of radiance of the
+/// job are used; those in `options` are ignored. With `force` a finished job is run again, and existing files are
+/// replaced even if the job did not write them.
 ///
 /// # Errors
 /// Those of [`pipeline::run`]; [`Error::Changed`] if a photograph changed during the run. For existing files:

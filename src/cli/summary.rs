@@ -158,9 +158,9 @@ fn problems(report: &Report, room: usize) -> String {
     // and not a problem.
     let assumed = which(&|f| f.alignment.status == Status::Assumed && !report.stood_still());
     let is_placed = |f: &FrameReport| matches!(f.alignment.status, Status::Aligned | Status::Unmoved);
-    // The alignment gives a reason to an aligned or unmoved frame only if no frame could be aligned and all are left
-    // unmoved. A separate warning reports this, so such frames do not count as uncertain here. A file of transforms can
-    // give a reason to any frame; these frames do not count as uncertain either.
+    // Among these frames, the alignment sets `reason` only where no frame could be aligned and all are left unmoved. A
+    // separate warning reports this, so such frames do not count as uncertain here. A file of transforms can contain a
+    // `reason` for any frame; these frames do not count as uncertain either.
     let is_uncertain = |f: &FrameReport| f.alignment.reason.is_none() && f.alignment.confidence < UNCERTAIN;
     let uncertain = which(&|f| is_placed(f) && is_uncertain(f));
     let flash = which(&|f| f.alignment.status == Status::Flash);

@@ -61,7 +61,7 @@ pub enum Warning {
         /// Median displacement of the displaced parts of the picture, in pixels.
         displaced_px: f64,
     },
-    /// All frames together cover less than half of the reference.
+    /// The largest rectangle that all merged frames cover is less than half of the reference.
     #[error(
         "{}: the result is cropped to {:.0} % of the reference, because this frame covers a rectangle of only {:.0} % of it; exclude it with --leave-out, or keep the whole reference with --crop none",
         path.display(),
@@ -71,9 +71,9 @@ pub enum Warning {
     SmallOverlap {
         /// The frame that overlaps the reference least.
         path: PathBuf,
-        /// The share of the reference in the largest rectangle covered by this frame, 0..1.
+        /// Area of the largest rectangle that this frame covers, as a fraction of the reference's area, 0..1.
         overlap: f64,
-        /// The share of the reference in the largest rectangle covered by all frames together, 0..1.
+        /// Area of the largest rectangle that all merged frames cover, as a fraction of the reference's area, 0..1.
         common: f64,
     },
     /// Two frames have the same pixels.

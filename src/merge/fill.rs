@@ -176,9 +176,9 @@ mod tests {
         let unit = f64::from(curve.exposure(0, 255.0));
         for x in 0..SIZE.0 {
             let truth = ramp(x)[1] * unit;
-            // The assumed frame 0 is not used where frame 1 (exposure 1/16) is below code value 230, because a is 0
-            // there. The assumed frame 4 is not used where frame 3 (exposure 16) is above code value 25, because b is 0
-            // there. The limits 228 and 27 leave a margin for rounding.
+            // The transforms of frames 0 and 4 are assumed. Where frame 1 (exposure 1/16) is below code value 230, the
+            // fraction a is 0, so frame 0 is not used. Where frame 3 (exposure 16) is above code value 25, the fraction
+            // b is 0, so frame 4 is not used. The limits 228 and 27 leave a margin for rounding.
             let is_held = ramp(x)[1] < 16.0 * f64::from(curve.exposure(0, 228.0)) / unit
                 && ramp(x)[1] * 16.0 > f64::from(curve.exposure(0, 27.0)) / unit;
             if is_held {

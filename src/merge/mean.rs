@@ -107,8 +107,9 @@ impl Means {
         (self.is_seen, self.is_clipped, self.is_black) = ([0; COLUMNS], [0; COLUMNS], [0; COLUMNS]);
     }
 
-    /// Computes the means of row `y`. With `fill`, the mean is over the frames with an assumed transform that fill this
-    /// kind of pixels; with `None`, over the frames with a known transform.
+    /// Computes the means of row `y`. If `fill` is a kind of pixels (clipped or black), the means are over the frames
+    /// with an assumed transform that fill pixels of this kind. If it is `None`, they are over the frames with a known
+    /// transform.
     #[inline(always)]
     pub fn add_all(&mut self, fill: Option<Fill>, (layers, tiles, taken): (&[Layer], &[Tile], &[Taken]), y: usize) {
         self.clear();

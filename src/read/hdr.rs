@@ -103,7 +103,8 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
         }));
     }
     if xyze {
-        // XYZ is in cd/m2; BT.2020 contains nearly all colours that a camera sees.
+        // XYZ is in cd/m2, so the scale is multiplied by 179. XYZ is converted to RGB of BT.2020, because BT.2020
+        // contains nearly all colours that a camera sees.
         let scale = Factor::new(WHITE_EFFICACY).and_then(|white| metadata.exposure_scale.times(white));
         metadata.exposure_scale = scale.ok_or("its EXPOSURE must be from 1e-20 to 1e20")?;
         metadata.primaries = Primaries::BT2020;

@@ -212,8 +212,9 @@ fn changes(place: &Candidate, frames: &[(usize, f64)], channel: usize) -> Vec<(u
     views.windows(2).map(change).collect()
 }
 
-/// Returns the range of indices of the frames that measure a place. If a frame is so short that the place is no
-/// brighter in the next longer frame, it is not in the range.
+/// Returns the range of indices of the frames that measure a place. It starts at the first frame whose next longer
+/// frame shows the place brighter; in the frames before it, the place is black. If there is no such frame, the range
+/// contains all frames.
 fn telling(place: &Candidate, frames: &[(usize, f64)], channel: usize) -> Range<usize> {
     first_rise(&changes(place, frames, channel))..frames.len()
 }

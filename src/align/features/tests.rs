@@ -134,8 +134,8 @@ fn pair_found_twice_is_one_match() {
     for tenth in 0..40 {
         let at = 100.0 + 0.1 * tenth as f32;
         assert_eq!(count(at, [(0.4, -0.3), (0.5, 0.2)]), 1, "{at}");
-        // The keypoint of the bitmap is at another position in the reference, or in the frame. So there are two
-        // matches.
+        // In the reference (first line) or in the frame (second line), the bitmap's keypoint is two pixels away from
+        // the grey image's, so it is a different keypoint. So there are two matches.
         assert_eq!(count(at, [(2.0, 0.0), (0.0, 0.0)]), 2, "{at}");
         assert_eq!(count(at, [(0.0, 0.0), (0.0, -2.0)]), 2, "{at}");
     }

@@ -17,8 +17,8 @@ use crate::align::ladder::thresholds::{DECISIVE_NATS, INFERRED_CONFIDENCE, INFER
 use crate::align::result::{Estimate, Placement};
 use crate::align::transform::{Model, Transform, distance, map, on_level};
 
-/// Frames that are displaced by at most this count as static, in pixels: scanned photographs, and frames from a tripod
-/// that settles, are displaced by as much.
+/// Largest displacement, in pixels, of a frame that counts as static. It is not smaller, because scanned photographs,
+/// and frames from a tripod that settles, can be displaced by this much.
 const STATIC_PX: f64 = 1.0;
 /// Largest expected error of an assumed transform, as a multiple of the error that halves the confidence
 /// ([`tolerance_px`]). The value is greater than 1, because such a frame is merged only where no other frame has detail

@@ -334,8 +334,8 @@ impl SamplePositions {
         let (left, down, begins) = (&self.left[..count], &self.down[..count], &mut self.sums[..count]);
         let (mut next, mut free) = (0, 0);
         while next < count {
-            // Neighbouring pixels at most two columns of the frame apart share column sums, if they are between the
-            // same rows at the same phase.
+            // Successive pixels of the output share column sums if their positions in the frame are between the same
+            // two rows, at the same phase, and each position is at most two columns to the right of the one before.
             let (row, first) = (down[next], left[next]);
             let mut at = first;
             while next < count && down[next] == row && left[next].wrapping_sub(at) <= 2 {

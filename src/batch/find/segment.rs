@@ -69,8 +69,8 @@ const TURNS: f64 = 5.0;
 /// Cost of a bracket that mixes frames in automatic bracket mode with frames in manual or automatic mode, for each
 /// frame of the smaller of the two groups.
 const MIXED: f64 = 8.0;
-/// Cost of each step between two frames in automatic mode that the recorded compensation does not explain. The cause
-/// may be a change of the light instead of a bracket.
+/// Cost of each exposure step between two frames in automatic mode, if the recorded compensation does not explain the
+/// step. The cause of the step may be a change of the light instead of a bracket.
 const METERED: f64 = 3.0;
 /// Cost, instead of [`METERED`], of a step of about a stop or more after a pause of at most [`AT_ONCE_S`], if all
 /// steps of the bracket are equal. Light does not change so fast and so evenly. So the camera probably took a

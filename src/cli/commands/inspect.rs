@@ -20,7 +20,8 @@ Files, for each photograph NAME:
                                            photograph, in its bitmaps, or in both
   NAME.matches.svg, .png                   keypoints that match one in the reference frame: inliers
                                            (they agree on one motion) and outliers (they do not)
-  NAME.xor.svg, .png                       curves: how many pixels differ at each rotation and shift
+  NAME.xor.svg, .png                       curves: share of the bitmap's pixels that differ from the
+                                           reference frame's bitmap, at each rotation and shift
   NAME.edges.svg, .png                     edges of frame and reference, before and after alignment
 and tables.txt, tables.json with exposures, keypoints, matches, transforms and bitmaps.
 

@@ -19,8 +19,9 @@ const AFTER_HELP: &str = "\
 The input may come from any program: .exr, .hdr, and .tif with floating-point (as from Photoshop)
 or LogLuv pixels. Some programs write pixels with impossible values. These are changed, with a
 warning. A pixel with NaN (not a number) becomes black. An infinite value becomes the largest
-finite value of the image, and keeps its sign. Then a colour with a negative value becomes less
-saturated, or black if its luminance is not positive.
+finite value of the image, and keeps its sign. After that, a pixel whose red, green or blue is
+negative becomes less saturated, until none of them is negative. If its luminance is not positive,
+it becomes black.
 
 Examples:
   hdralign tonemap room.exr                           write room.png beside it

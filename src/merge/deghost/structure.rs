@@ -76,7 +76,8 @@ fn halved(plane: &Plane<Ratio>) -> Plane<Ratio> {
 }
 
 /// Returns how much the ratio changes between the middle two of four cells in a line, in standard deviations. At an
-/// edge that both frame and standard show, the standard deviation is larger.
+/// edge that is in the frame and in the standard, a larger standard deviation is assumed, so that the change of the
+/// ratio counts less.
 fn change(line: [&Ratio; 4]) -> f32 {
     let mut most = 0.0f32;
     for c in 0..3 {

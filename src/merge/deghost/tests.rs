@@ -385,8 +385,8 @@ fn strength_is_parsed_and_printed_as_typed() {
 
 #[test]
 fn flare_and_saturated_colours_are_not_motion() {
-    // The long frame is brighter by up to a third towards the right, as with flare. Its red is 15 % higher everywhere,
-    // so the edges between its tiles differ from those of the other frames.
+    // The long frame is brighter by up to a third towards the right, as with flare. In addition, its red is 15 %
+    // higher everywhere, as happens with saturated colours, which one response for all frames cannot describe.
     let veiled = |x: usize, y: usize| {
         let [r, g, b] = background(x, y).map(|e| e * (1.0 + 0.33 * x as f64 / SIZE.0 as f64));
         [1.15 * r, g, b]

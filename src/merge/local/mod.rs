@@ -39,9 +39,10 @@ const CELLS: usize = 256;
 /// Weights of R, G and B in the luminance (Rec. 709) that determines the gain, which is the same for all channels.
 const LUMINANCE: [f32; 3] = crate::merge::radiance::statistics::BT709;
 /// A phone brightens short exposures, so the pixels of two frames differ by only a fraction of their exposure step.
-/// This constant is the largest median of this fraction that phones are assumed to have. If the fraction is larger when
-/// it is measured with the sRGB curve, then sRGB has more stops between two code values than the curve of the phone.
-/// Measured with truth.py: of 26 phone brackets with a curve close to sRGB's, 23 have a fraction of 0.46 to 0.58.
+/// This constant is the largest median of this fraction that phones are assumed to have. If the median measured with
+/// the sRGB curve is larger than this constant, the sRGB curve has too many stops between two code values, and they are
+/// divided (see [`power`]). Measured with truth.py: of 26 phone brackets with a curve close to sRGB's, 23 have a
+/// fraction of 0.46 to 0.58.
 const MOST_FRACTION: f64 = 0.6;
 
 /// Factors for the radiance of each frame over a region of the reference frame.

@@ -46,7 +46,7 @@ const ZOOMS: &str = "<fieldset class=\"pills\"><legend>Zoom</legend>\n\
     <label><input type=\"radio\" name=\"zoom\" value=\"1\"><span>100\u{a0}%</span></label>\n\
     <label><input type=\"radio\" name=\"zoom\" value=\"2\"><span>200\u{a0}%</span></label>\n</fieldset>\n";
 
-/// Returns the choice of the picture: the result, or a frame by its exposure.
+/// Returns the buttons that select the picture to show: the result, or one of the frames, labelled with its exposure.
 fn choices(report: &Report, has_result: bool) -> String {
     let mut out = String::from("<fieldset class=\"pills shown\"><legend>Show</legend>\n");
     if has_result {

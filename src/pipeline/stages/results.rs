@@ -93,8 +93,8 @@ impl Results<'_> {
     }
 }
 
-/// Reduces the rows of a picture that is smaller than the radiance, in linear light; if needed, also the rows of the
-/// radiance.
+/// Reduces the rows of the tone-mapped picture from the size of the radiance to the smaller size that is written, in
+/// linear light. The rows of the radiance are reduced too if a file with a gain map needs them.
 struct Smaller {
     width: usize,
     full: Vec<[f32; 3]>,

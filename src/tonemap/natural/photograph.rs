@@ -88,7 +88,7 @@ impl Photograph {
         p + (place - place.floor()) * (q - p)
     }
 
-    /// Returns the linear display colour that a photograph gives to `colour`, if its exposure makes the displayed
+    /// Returns the linear display colour of `colour` in a photograph that is exposed so that `colour` has the displayed
     /// luminance `display` (below 1). Multiplying `colour` by a factor does not change the result.
     pub fn showing(&self, colour: [f32; 3], display: f32) -> [f32; 3] {
         let stops = colour.map(|c| log2(c.max(f32::MIN_POSITIVE)));
