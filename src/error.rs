@@ -1,6 +1,7 @@
 //! Errors and warnings.
 //!
-//! An [`Error`] stops a run. Its text names the file or option, what is wrong and what to do. A [`Warning`] is part of
+//! An [`Error`] stops a run; in a batch, it stops the job. Most texts name the file or option, what is wrong and what
+//! to do. A [`Warning`] is part of
 //! the report. With `--strict`, warnings that [degrade](Warning::degrades) the result change the exit code to 3.
 
 mod warning;

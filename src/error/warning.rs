@@ -9,9 +9,9 @@ use std::path::PathBuf;
 /// - If the text says what to do, this is its last part, after the last semicolon. In some warnings the last part says
 ///   what was done instead, as in [`ResponseFallback`](Self::ResponseFallback). The HTML report does not distinguish
 ///   them.
-/// - Most measured values are in parentheses or follow a colon. Warnings that differ only in such values and in their
-///   frames are shown once. A warning with another form, such as [`ExposureBounded`](Self::ExposureBounded), is shown
-///   once for each frame.
+/// - Most measured values are in parentheses or follow a colon. Warnings that differ only in such values, and in the
+///   frames that they begin with, are shown once. Warnings with another form are shown once for each different text,
+///   as [`ExposureBounded`](Self::ExposureBounded) is.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Warning {
@@ -63,7 +63,7 @@ pub enum Warning {
     },
     /// The largest rectangle that all merged frames cover is less than half of the reference.
     #[error(
-        "{}: the result is cropped to {:.0} % of the reference, because this frame covers a rectangle of only {:.0} % of it; exclude it with --leave-out, or keep the whole reference with --crop none",
+        "{}: the largest rectangle that all frames cover is only {:.0} % of the reference (that of this frame alone: {:.0} %); exclude it with --leave-out, or keep the whole reference with --crop none",
         path.display(),
         100.0 * common,
         100.0 * overlap
@@ -113,7 +113,7 @@ pub enum Warning {
     #[error(
         "{}: the flash fired, unlike in the other frames; {}",
         path.display(),
-        if *is_used { "it is merged anyway, check the result" } else { "it is excluded; to use it anyway, give -e with the exposures of all frames, or name it with --reference or --unmoved" }
+        if *is_used { "it is merged anyway, check the result" } else { "it is excluded; to use it anyway, give -e with the exposures of all frames, or make it the reference with --reference" }
     )]
     FlashFired {
         /// The frame.

@@ -106,7 +106,10 @@ fn small_overlap_is_a_warning_and_no_overlap_an_error() {
         let folder = shifted(dx);
         let run = folder.line("merge w2.jpg w3.jpg w4.jpg --transforms t.json -o a.exr --json --strict");
         assert_eq!(run.code, 3, "{run:?}");
-        assert!(run.stderr.contains("w2.jpg: the result is cropped to 17 % of the reference"), "{run:?}");
+        assert!(
+            run.stderr.contains("w2.jpg: the largest rectangle that all frames cover is only 17 % of the reference"),
+            "{run:?}"
+        );
         let width = report(&run.stdout)["crop"]["width_px"].as_u64().expect("a width");
         assert!((40..=50).contains(&width), "{width} of 50 pixels");
     }

@@ -142,14 +142,19 @@ impl fmt::Display for Reason {
                 )
             }
             Reason::Format(format) => write!(f, "{format}, which is not supported; convert it to TIFF or JPEG"),
-            Reason::Twin(used) => write!(f, "the same shot as {}, which is used instead", name(used)),
-            Reason::SameFile(used) => write!(f, "the same file as {}, which is used instead", used.display()),
+            Reason::Twin(used) => {
+                write!(f, "the same shot as {}; of the two, only that file is considered", name(used))
+            }
+            Reason::SameFile(used) => write!(f, "the same file as {}; only that name is considered", used.display()),
             Reason::Result(by) => write!(f, "a result, written by {by}"),
             Reason::Unreadable(why) => write!(f, "{why}"),
             Reason::NoExposure => {
                 write!(f, "its EXIF has no exposure; group the photographs with --bracket N or --by-folder")
             }
-            Reason::Flash => write!(f, "the flash fired, but not for other photographs of this camera in its folder"),
+            Reason::Flash => write!(
+                f,
+                "the flash fired, but not for some other photographs of this camera in its folder or the neighbouring folders of the card"
+            ),
             Reason::Single => write!(
                 f,
                 "a single photograph: no other exposure of the scene is close enough in time; --gap sets the longest pause, --bracket N the number of frames"
@@ -159,7 +164,10 @@ impl fmt::Display for Reason {
                 "one of {count} in a row with the same exposure; if their EXIF is wrong, put each bracket in its own folder and give --by-folder"
             ),
             Reason::Remainder(frames) => {
-                write!(f, "too few photographs are left before and after it for a bracket of {frames}")
+                write!(
+                    f,
+                    "it and the photographs before and after it do not form a bracket of {frames} (longest pause: --gap; same focal length; different exposures)"
+                )
             }
             Reason::OtherSize(own, others) => {
                 write!(

@@ -122,12 +122,13 @@ pub struct Args {
     #[arg(long, help_heading = OUTPUT)]
     json: bool,
 
-    /// Also print the text of each warning, and the brackets already done
+    /// Also print the text of each warning of this run, and the brackets already done
     ///
     /// By default, each bracket that is merged gets a line with the number of its warnings. The summary at the end
     /// counts the brackets already done, and shows the first warning of each degraded result, for at most 10 of them.
     /// With -v, the warnings of a merged bracket follow its line, and each bracket already done gets a line too. With
-    /// -q, only errors and file names are printed. -v has no effect with --dry-run, --plan, --run or --summarize
+    /// -q, only errors, messages after a signal, and file names (or JSON) are printed. -v has no effect with --dry-run,
+    /// --plan, --run or --summarize
     #[arg(short, long, help_heading = OUTPUT, conflicts_with = "quiet")]
     verbose: bool,
 

@@ -187,11 +187,12 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
                 format!("{} pixels are NaN or infinite in only one of the files", radiance.not_comparable_pixels),
             );
         }
-        // If the mean of the differences in stops is almost equal to their RMS, all pixels differ by the same factor.
+        // If the mean of the differences in stops is almost equal to their RMS, most pixels differ by nearly the same
+        // factor.
         let (mean, rms) = (radiance.mean_stops, radiance.rms_stops);
         if mean.abs() > 0.002 && mean.abs() > 0.97 * rms {
             let word = if mean > 0.0 { "brighter" } else { "darker" };
-            row("gain", format!("ACTUAL is {word} everywhere by the same factor: {:.3} stops", mean.abs()));
+            row("gain", format!("most of ACTUAL is {word} by nearly the same factor: {:.3} stops", mean.abs()));
         }
     }
     if let Some(display) = compared.display.as_ref().filter(|_| is_off) {

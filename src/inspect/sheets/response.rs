@@ -50,7 +50,12 @@ pub fn draw(title: &str, curve: &ResponseCurve, samples: &Drawn, notes: &str) ->
     let lines = (0..3).map(|c| curve.ln_exposure(c)).chain([srgb.ln_exposure(1)]);
     // The vertical axis starts at the exposure of code value 1, but at most `DEEPEST` stops below code value 128.
     let (low, high) = lines.fold((f64::MAX, f64::MIN), |(low, high), g| (low.min(g[1]), high.max(g[CODES - 1])));
-    let up = Axis::round(stops(low).max(-DEEPEST), stops(high), 10, "exposure in stops; 0 gives code value 128");
+    let up = Axis::round(
+        stops(low).max(-DEEPEST),
+        stops(high),
+        10,
+        "exposure in stops; 0 gives code value 128 in the mean of the colours",
+    );
     let x = Axis::at(0.0, 255.0, [0, 32, 64, 96, MID, 160, 192, 224, 255], "code value");
     let plot = Plot { area, x, y: up };
     plot.draw_axes(&mut page.drawing);
@@ -124,7 +129,13 @@ mod tests {
         let drawn = Drawn { channels: [vec![sample], Vec::new(), Vec::new()], black: [0.0; 3] };
         let drawing = draw("Acme <One>", &curve, &drawn, "a note");
         let svg = drawing.to_svg();
-        for words in ["Acme &lt;One&gt;", "code value", "exposure in stops; 0 gives code value 128", "sRGB", "a note"] {
+        for words in [
+            "Acme &lt;One&gt;",
+            "code value",
+            "exposure in stops; 0 gives code value 128 in the mean of the colours",
+            "sRGB",
+            "a note",
+        ] {
             assert!(svg.contains(words), "{words}");
         }
         let png = encode(&drawing, FilePath::new("a.PNG")).unwrap();

@@ -72,7 +72,7 @@ pub(crate) fn read(text: &str) -> Result<ResponseCurve, String> {
     let mut g = [[0.0; CODES]; 3];
     for ((g, x), name) in g.iter_mut().zip(&channels).zip(["red", "green", "blue"]) {
         *g = logarithms(x).ok_or_else(|| {
-            format!("the response of {name} must not decrease from one pixel value to the next, and must be positive from the middle on")
+            format!("the response of {name} must rise from the smallest to the largest pixel value, must not decrease in between, and must be positive from 127 of 255 on")
         })?;
     }
     let mid = g.iter().map(|g| g[MID]).sum::<f64>() / 3.0;

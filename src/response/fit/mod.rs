@@ -110,13 +110,13 @@ pub fn check(samples: &[Sample]) -> Fitted<()> {
     let (times, codes) = (span(samples, |v| v.ln_time), span(samples, |v| v.code));
     if times.1 - times.0 < STEP * LN_2 {
         return Err(format!(
-            "the exposures differ by only {:.2} stops; at least {STEP} stops are needed",
+            "the exposures of the frames with usable places differ by only {:.2} stops; at least {STEP} stops are needed",
             stops(times.1 - times.0)
         ));
     }
     if codes.1 - codes.0 < SPAN {
         return Err(format!(
-            "smooth areas have only pixel values from {:.0} to {:.0}; \
+            "smooth areas that are not clipped have only pixel values from {:.0} to {:.0}; \
              a range of at least {SPAN} is needed",
             codes.0, codes.1
         ));

@@ -41,7 +41,7 @@ impl Options {
                 "key",
                 (0.01, 2.0),
                 &mut self.key,
-                "brightness of the scene's average (geometric mean) before highlights are compressed; 1 is white",
+                "luminance to which the average of the scene (geometric mean) is scaled; a luminance of 1 becomes about half of white",
             ),
             Setting::estimated(
                 "white",

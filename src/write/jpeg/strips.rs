@@ -94,8 +94,9 @@ pub(super) const APP2: u8 = 0xE2;
 /// An error if the segment would be longer than the format allows.
 pub(super) fn put_segment(code: u8, parts: &[&[u8]], out: &mut Vec<u8>) -> io::Result<()> {
     let length = 2 + parts.iter().map(|part| part.len()).sum::<usize>();
-    let length = u16::try_from(length)
-        .map_err(|_| io::Error::other("the metadata is too long for a JPEG, which allows 65533 bytes"))?;
+    let length = u16::try_from(length).map_err(|_| {
+        io::Error::other("a part of the metadata is too long for a segment of a JPEG, which has at most 65533 bytes")
+    })?;
     out.extend_from_slice(&[0xFF, code]);
     out.extend_from_slice(&length.to_be_bytes());
     parts.iter().for_each(|part| out.extend_from_slice(part));

@@ -132,7 +132,7 @@ impl Layout {
         match self.sampling.iter().find(|own| own[0] == 3 || is_fraction(own)) {
             Some([across, down]) => {
                 let reason = "which is not supported; save it as baseline JPEG";
-                Err(format!("its chroma subsampling ({across}x{down}) {reason}"))
+                Err(format!("one of its components has the sampling factors {across}x{down}, {reason}"))
             }
             None => Ok(()),
         }

@@ -48,14 +48,15 @@ pub fn many(n: usize, what: &str) -> String {
     if n == 1 { format!("1 {what}") } else { format!("{n} {what}s") }
 }
 
-/// Returns the error for a search that found no bracket. It contains the most frequent reason.
+/// Returns the error for a search that found no bracket. It contains an example of the most frequent kind of
+/// reason.
 pub fn nothing(folders: &[PathBuf], found: &Found) -> Error {
     let most = by_kind(found).into_iter().max_by_key(Vec::len);
     let why = match most {
         Some(shots) => format!(
-            "{} in no bracket; the reason for {} of them: {}",
-            many(found.left_over.len(), "photograph"),
-            shots.len(),
+            "{} in no bracket, for example {}: {}",
+            many(left_over(found), "photograph"),
+            shots[0].path.display(),
             shots[0].reason
         ),
         None => "there are no photographs (JPEG, PNG, TIFF)".to_owned(),

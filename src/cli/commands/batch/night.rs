@@ -196,8 +196,8 @@ pub fn open_home(path: &Path, args: &Args) -> Result<PathBuf, Error> {
     Ok(home)
 }
 
-/// The photographs in no bracket and the folders that cannot be read: their number, and the photographs and folders
-/// that cannot be read.
+/// The photographs in no bracket and the folders that cannot be read: their number without results of hdralign, and
+/// those that cannot be read.
 pub struct LeftOver<'a> {
     count: usize,
     unreadable: Vec<&'a find::LeftOver>,
@@ -216,9 +216,9 @@ fn limits(work: &Work, jobs: Option<usize>, home: &Path) -> Result<Limits, Error
     Ok(Limits { jobs: jobs.unwrap_or(threads), threads, memory: work.memory(|| home.to_owned()) })
 }
 
-/// Writes the summary to `path`, prints it, and returns the exit code. If a folder or the header of a photograph cannot
-/// be read, or if the summary cannot be written, a batch that did all its jobs gets the exit code for a partly done
-/// batch.
+/// Writes the summary to `path`, prints it, and returns the exit code. If a folder cannot be read, if a photograph is
+/// refused because of its header, or if the summary cannot be written, a batch that did all its jobs gets the exit code
+/// for a partly done batch.
 pub fn finish(summary: &Summary, path: &Path, left_over: Option<&LeftOver>, args: &Args) -> Result<ExitCode, Error> {
     let files = summary.write(path, args.work.force);
     if !args.work.quiet {
