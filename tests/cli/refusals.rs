@@ -193,7 +193,7 @@ fn options_with_values_that_cannot_be_used_are_wrong_usage() {
         ("merge", &["IMAGES"]),
         ("merge w2.jpg w3.jpg --weight heavy", &["--weight", "heavy", "hat"]),
         ("merge w2.jpg w3.jpg --response r.json --response-model srgb", &["--response"]),
-        ("merge w2.jpg w3.jpg --deghost 0.25", &["no photograph 0.25", "--deghost=0.25"]),
+        ("merge w2.jpg w3.jpg --deghost 0.25", &["0.25 was taken for a photograph", "--deghost=0.25"]),
         ("merge w2.jpg w3.jpg --response-degree 4", &["--response-degree", "mitsunaga-nayar"]),
         (
             "merge w2.jpg w3.jpg --response-model mitsunaga-nayar --response-degree 11",

@@ -16,8 +16,9 @@ const SAME_PX: f64 = 0.03;
 /// this many standard errors of the homography. A larger distance would be significant at the level of 5 %.
 const STANDARD_ERRORS: f64 = 2.0;
 
-/// A model with fewer parameters is fitted only if the nearest transform of this model is not too far from the
-/// homography: at most this many times the distance up to which it would explain the motion equally well.
+/// Up to a certain distance from the homography, a transform with fewer parameters explains the motion equally well
+/// (see [`STANDARD_ERRORS`] and [`SAME_PX`]). A smaller model is fitted only if its nearest transform is within this
+/// many times that distance.
 const MOST_EXCESS: f64 = 5.0;
 
 /// A frame that is displaced by at most this counts as unmoved, in pixels: to resample it would do more harm than good.

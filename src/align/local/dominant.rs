@@ -128,8 +128,9 @@ impl Observation {
     }
 }
 
-/// Returns the number of `observations` that differ from the motion with the parameters `step` by less than a standard
-/// deviation. If the tolerance of the observations is [`FITS_PX`], this is the number of cells that fit.
+/// Returns the number of `observations` that differ from the motion with the parameters `step` by less than one
+/// standard deviation. If the observations were made with the tolerance [`FITS_PX`], this is the number of cells that
+/// fit.
 fn fitting(observations: &[Observation], step: &DVector<f64>) -> usize {
     observations.iter().filter(|o| o.off(step) < 1.0).count()
 }

@@ -122,7 +122,7 @@ pub struct Args {
     #[arg(long, help_heading = OUTPUT)]
     json: bool,
 
-    /// Also print the text of each warning of this run, and the brackets already done
+    /// Also print the warnings of this run, and the brackets already done
     ///
     /// By default, each bracket that is merged gets a line with the number of its warnings. The summary at the end
     /// counts the brackets already done, and shows the first warning of each degraded result, for at most 10 of them.

@@ -54,7 +54,7 @@ fn a_frame_a_little_closer_is_aligned() {
     let names = exposed(&folder, &[(&frame(2), 2), (&closer, 3), (&frame(4), 4)]);
     let merged = merged(&folder, &names);
     for file in ["f1.jpg", "f2.jpg", "f3.jpg"] {
-        assert!(merged.status(file) != "rejected" && merged.confidence(file) > 0.8, "{file}");
+        assert!(merged.status(file) != "rejected" && merged.confidence(file) > 0.8, "{}", merged.frame(file));
     }
 }
 
