@@ -122,22 +122,22 @@ pub enum Error {
         /// Why there is no exposure.
         reason: String,
     },
-    /// No frame could be aligned to the reference, so there is nothing to merge.
-    #[error("{}: no other frame could be aligned to it ({reason}); choose another reference with --reference, or give --align none if the camera was on a tripod", reference.display())]
+    /// All frames besides the reference are rejected or excluded, so there is nothing to merge.
+    #[error("{}: {reason}", reference.display())]
     NothingAligned {
         /// The reference.
         reference: PathBuf,
-        /// Why one of the other frames was rejected.
+        /// Why no other frame is merged, and what to do.
         reason: String,
     },
-    /// A frame has no pixel in common with the reference and the other frames.
+    /// No part of the reference is in all frames.
     #[error(
-        "{}: does not overlap {} and the other frames; exclude it with --leave-out, or correct its transform in the file of transforms",
+        "{}: no part of {} is in all frames, and this frame covers least of it; exclude it with --leave-out (in a batch, use `hdralign merge` for this), or correct its transform if it is from a file of transforms",
         path.display(),
         reference.display()
     )]
     NoOverlap {
-        /// The frame that overlaps the reference least.
+        /// The frame that covers the smallest part of the reference.
         path: PathBuf,
         /// The reference.
         reference: PathBuf,
@@ -158,7 +158,7 @@ pub enum Error {
     },
     /// An existing result has the name of the new result, but was made from other photographs.
     #[error(
-        "{}: was made from other photographs with the same names; choose another folder or unique names (for example {{date}} and {{time}} in `--name`), or replace it with --force",
+        "{}: was made from other photographs; choose another folder or unique names (for example {{date}} and {{time}} in `--name`), or replace it with --force",
         path.display()
     )]
     OtherPhotographs {
@@ -200,7 +200,7 @@ pub enum Error {
     },
     /// The threads could not be started.
     #[error(
-        "{threads} threads could not be started: {source}; give fewer with --threads, or allow more (`ulimit -u`, `ulimit -v`)"
+        "{threads} threads could not be started: {source}; give fewer with --threads if the command has it, or allow more (`ulimit -u`, `ulimit -v`)"
     )]
     Threads {
         /// Number of threads that were requested.
@@ -257,7 +257,7 @@ pub enum Error {
     /// The camera's response cannot be recovered from the brackets.
     #[error("{}: the camera's response cannot be recovered ({reason}); give brackets of static scenes that span several stops", path.display())]
     NoResponse {
-        /// The first photograph.
+        /// The reference frame of the first bracket used, or the first photograph if no bracket can be used.
         path: PathBuf,
         /// Why the response cannot be recovered.
         reason: String,
@@ -265,7 +265,7 @@ pub enum Error {
     /// The frames are locally processed by the camera, so they have no response.
     #[error("{}: the frames are locally processed by the camera, so there is no response to save; merge without `--save-response` or `--shared-response`, or use frames taken with the camera's HDR mode off", path.display())]
     LocallyProcessed {
-        /// The first photograph.
+        /// The reference frame.
         path: PathBuf,
     },
     /// A response file is invalid.
@@ -287,7 +287,8 @@ pub enum Error {
 }
 
 impl Error {
-    /// Returns whether a file could not be written because the disk is full, so that further files would fail as well.
+    /// Returns whether a file could not be written because the disk is full or the quota is used up, so that further
+    /// files would fail as well.
     pub fn is_disk_full(&self) -> bool {
         let is_space = |kind| matches!(kind, io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded);
         matches!(self, Error::Write { source, .. } if is_space(source.kind()))
@@ -331,7 +332,7 @@ fn write_remedy(source: &io::Error) -> &'static str {
         InvalidFilename => "; give it a shorter name",
         // These errors concern only folders; an existing output is reported as `Error::OutputExists`.
         AlreadyExists | NotADirectory => {
-            "; a file has the name of this folder: choose another folder, or move the file"
+            "; a file has the name of a folder in this path: choose another folder, or move the file"
         }
         IsADirectory if source.raw_os_error().is_some() => {
             "; a folder has that name: move it away, or choose another name"

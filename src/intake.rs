@@ -79,7 +79,7 @@ pub(crate) fn text(path: &Path, most: u64) -> Result<String> {
 /// [`Error::Read`].
 pub(crate) fn open(path: &Path) -> Result<File> {
     if path.is_dir() {
-        return Err(refused(path, "it is a folder; name the files in it, for example `folder/*.jpg`".into()));
+        return Err(refused(path, "it is a folder; name a file in it".into()));
     }
     File::open(path).map_err(|source| Error::Read { path: path.to_owned(), source })
 }
@@ -105,8 +105,8 @@ fn refused(path: &Path, reason: String) -> Error {
 fn too_long(path: &Path, length: u64, most: u64) -> Error {
     let [length, most] = [length, most].map(|bytes| bytes.div_ceil(1_000_000));
     let reason = format!(
-        "it has {length} MB or more, but at most {most} MB are read; name another file, or allow more with --max-pixels \
-         and --max-memory"
+        "it has {length} MB or more, but at most {most} MB are read; name another file (for an image, --max-pixels and \
+         --max-memory allow more)"
     );
     refused(path, reason)
 }

@@ -90,9 +90,10 @@
 //!
 //! # Reproducible results
 //!
-//! Results do not depend on the number of threads, the order of the inputs or the processor. Parallel work is split
-//! into fixed bands of rows, and their results are combined in the order of the bands. The functions exp, ln, pow and
-//! similar ones come from one portable implementation.
+//! Results do not depend on the number of threads, on the processor, or on the order of the inputs (unless exposures or
+//! the reference are given by position). Parallel work is split into fixed parts, such as bands of rows, and the
+//! results of the parts are combined in a fixed order. The functions exp, ln, pow and similar ones come from one
+//! portable implementation.
 //!
 //! # Stability
 //!

@@ -166,9 +166,10 @@ pub(crate) fn room<T: Copy + Default>(count: usize) -> Result<Vec<T>, String> {
     Ok(values)
 }
 
-/// Returns `count` as text; from a million on, in whole millions.
+/// Returns `count` as text; whole millions are given in millions.
 fn words(count: u64) -> String {
-    if count >= 1_000_000 { format!("{} million", count / 1_000_000) } else { count.to_string() }
+    let is_in_millions = count > 0 && count.is_multiple_of(1_000_000);
+    if is_in_millions { format!("{} million", count / 1_000_000) } else { count.to_string() }
 }
 
 #[cfg(test)]
@@ -186,6 +187,8 @@ mod tests {
         assert!(limits.check_size(usize::MAX, usize::MAX).unwrap_err().contains("--max-pixels"), "no overflow");
         assert!(limits.check_size(0, 7).is_err() && limits.check_size(7, 0).is_err());
         assert!(Limits { max_pixels: 99, memory: None }.check_size(10, 10).unwrap_err().contains("the 99 allowed"));
+        let reason = Limits { max_pixels: 1_900_000, memory: None }.check_size(1500, 1300).unwrap_err();
+        assert!(reason.contains("the 1900000 allowed") && reason.contains("--max-pixels 2M"), "{reason}");
     }
 
     #[test]

@@ -14,7 +14,7 @@ mod stages;
 mod threads;
 mod tonemapping;
 
-use crate::align::{AlignMode, AlignOptions, Placement};
+use crate::align::{AlignMode, AlignOptions, Placement, RejectedBy};
 use crate::bracket::colour::Space;
 use crate::bracket::{Bracket, LoadOptions};
 use crate::budget::Stages;
@@ -93,7 +93,8 @@ pub struct Options {
     pub transforms: Option<PathBuf>,
     /// Output file of the report; the extension selects JSON or HTML.
     pub report: Option<PathBuf>,
-    /// Number of threads; `None` for one per core. The results do not depend on it.
+    /// Largest number of threads; `None` for those of rayon's current thread pool (by default one per core). The
+    /// results do not depend on it.
     pub threads: Option<usize>,
 }
 
@@ -364,6 +365,14 @@ fn check_placed(Aligned { bracket, alignment, .. }: &Aligned) -> Result<()> {
     if alignment.placed(bracket).count() > 1 {
         return Ok(());
     }
-    let reason = alignment.placements.iter().find_map(Placement::reason).unwrap_or_default().to_owned();
+    let is_unaligned = |p: &&Placement| matches!(p, Placement::Rejected { by: RejectedBy::Alignment, .. });
+    let reason = match alignment.placements.iter().find(is_unaligned) {
+        Some(placement) => format!(
+            "no other frame was aligned to it ({}); choose another reference with --reference, or give --align none if \
+             the camera was on a tripod",
+            placement.reason().unwrap_or_default()
+        ),
+        None => "all other frames are excluded; exclude fewer of them".to_owned(),
+    };
     Err(Error::NothingAligned { reference: bracket.reference().path().to_owned(), reason })
 }

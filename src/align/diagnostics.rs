@@ -146,8 +146,8 @@ pub fn xor_curves(
     }
 }
 
-/// Returns the angles of the curve, in degrees: they cover at least the range of the bitmap search (`most` in either
-/// direction), and are closer together near the angle `found`, which is one of them.
+/// Returns the angles of the curve, in degrees. They cover at least the range of the bitmap search (`most` in either
+/// direction, to within one [`ANGLE_STEP`]), and are closer together near the angle `found`, which is one of them.
 fn angles(found: f64, most: f64) -> Vec<f64> {
     let reach = most.max(1.0).max(1.2 * found.abs());
     let coarse = (reach / ANGLE_STEP).floor() as i64;

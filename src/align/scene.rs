@@ -39,7 +39,7 @@ impl Scene {
         Scene { seed }
     }
 
-    /// Returns the radiance at (x, y). It is within about 2^-4 to 2^5, with a median of about 1.
+    /// Returns the radiance at (x, y). Nearly everywhere it is within 2^-6 to 2^6, and its median is about 1.
     pub(crate) fn radiance(&self, x: f64, y: f64) -> f64 {
         let mut stops = 0.0;
         for (k, (spacing, weight)) in LAYERS.iter().enumerate() {

@@ -115,7 +115,8 @@ impl SavedAlignment {
     /// Reads the file `path`.
     ///
     /// # Errors
-    /// [`Error::Read`] if the file cannot be read; otherwise the errors of [`from_json`](Self::from_json).
+    /// [`Error::Read`] if the file cannot be read, [`Error::Changed`] if it changes while it is read; otherwise the
+    /// errors of [`from_json`](Self::from_json).
     pub fn read(path: &Path) -> Result<Self> {
         Self::from_json(&intake::text(path, intake::MOST_OF_A_TEXT)?, path)
     }

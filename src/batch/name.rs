@@ -23,7 +23,7 @@ enum Field {
 
 /// For each field: its name as the user types it, the field, and its description in the help.
 const FIELDS: [(&str, Field, &str); 9] = [
-    ("folder", Field::Folder, "the folder of the photographs, relative to the searched folder"),
+    ("folder", Field::Folder, "the folder of the photographs, relative to the searched folder or its parent"),
     ("first", Field::First, "the first photograph by name, without extension"),
     ("last", Field::Last, "the last photograph by name, without extension"),
     ("number", Field::Number, "the bracket's number, from 0001"),

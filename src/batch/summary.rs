@@ -265,8 +265,8 @@ fn is_summary(path: &Path) -> bool {
 /// new error gives other advice.
 fn kept(error: Error) -> Error {
     let Error::OutputExists { path } = error else { return error };
-    let reason = "it exists already, and `hdralign batch` did not write it; move it away, name another folder with -d, or \
-                  replace it with --force";
+    let reason =
+        "it exists already, and `hdralign batch` may not have written it; move it away, or replace it with --force";
     Error::Write { path, source: io::Error::new(io::ErrorKind::InvalidInput, reason) }
 }
 

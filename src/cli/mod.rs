@@ -65,12 +65,12 @@ enum Command {
 const AFTER_HELP: &str = "\
 Exit codes:
   0  done
-  1  failed, nothing written
+  1  failed, nothing written; or only stdout failed, and the files are complete
   2  wrong usage
   3  written, but degraded; only with --strict, which `hdralign merge --help` explains
   compare: 0 same, 1 different, 2 error
-  batch: 0 all brackets done, 1 none done, 3 some failed, or a file could not be read or written
-         (with --strict also: a result is degraded)
+  batch: 0 all brackets done, 1 none done or another error, 3 done in part or with problems,
+         which `hdralign batch --help` explains
 
 Examples:
   hdralign merge IMG_0001.JPG IMG_0002.JPG IMG_0003.JPG

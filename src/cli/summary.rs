@@ -14,7 +14,7 @@ const LABEL: usize = 11;
 const UNCERTAIN: f64 = 0.5;
 
 /// Prints the warnings and the summary of `report`. With `verbose`, also prints a line for each frame and a line with
-/// the time of each stage.
+/// the times of the main stages.
 pub fn print(report: &Report, verbose: bool) {
     let terminal = Terminal::of_stderr();
     warn(&report.warnings, &terminal);
@@ -41,7 +41,7 @@ pub fn warn(warnings: &[WarningReport], terminal: &Terminal) {
     }
 }
 
-/// Returns a line with the times of all stages.
+/// Returns a line with the times of the main stages.
 fn times(report: &Report) -> String {
     let times = &report.time_s;
     let stages = [

@@ -145,8 +145,8 @@ pub struct Largest {
     pub x_px: usize,
     /// Row of the pixel.
     pub y_px: usize,
-    /// For radiance, the difference in the channel where it is largest; null if a value is NaN or infinite in only one
-    /// of the files.
+    /// For radiance, the difference in the channel where it is largest; null if a value is NaN or infinite, and
+    /// different in the two files.
     pub stops: Option<f64>,
     /// For pictures, the difference by CIEDE2000.
     pub de: Option<f64>,
@@ -180,7 +180,7 @@ pub struct RadianceDifference {
     pub rms_stops: f64,
     /// Signed mean difference over all channels.
     pub mean_stops: f64,
-    /// Number of pixels that are NaN or infinite in only one of the files; they are excluded from the means.
+    /// Number of pixels that are NaN or infinite, and different in the two files; they are excluded from the means.
     pub not_comparable_pixels: usize,
     /// Luminance of radiance 1 in cd/m2, used for PU21. If the expected file is calibrated, it follows from that file.
     /// Otherwise it is chosen so that the 99.9th percentile of the expected luminance is 1000.
@@ -275,7 +275,8 @@ impl Comparison {
     }
 }
 
-/// The difference of every pixel in `unit`; [`f32::INFINITY`] if a pixel is NaN or infinite in only one of the files.
+/// The difference of every pixel in `unit`; [`f32::INFINITY`] if a pixel is NaN or infinite, and different in the two
+/// files.
 #[derive(Debug, Clone)]
 struct Magnitudes {
     plane: Plane<f32>,

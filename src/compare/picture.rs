@@ -41,7 +41,7 @@ const TEXT: f64 = 16.0;
 /// Number of decades that the scale of the false colours covers.
 const DECADES: f64 = 3.0;
 
-/// Colour of pixels that one of the files does not have, or that are NaN or infinite in only one of the files.
+/// Colour of pixels that one of the files does not have, or that are NaN or infinite, and different in the two files.
 const NOTHING: Colour = Colour(255, 0, 200);
 /// Colours below the tolerance: dark to light blue.
 const WITHIN: [[f64; 3]; 2] = [[20.0, 40.0, 110.0], [90.0, 160.0, 235.0]];
@@ -192,7 +192,7 @@ fn legend(drawing: &mut Drawing, y: f64, (room, zoom): (f64, f64), scale: Option
     let beyond = if scale.tolerance > 0.0 { "beyond" } else { "not equal" };
     next = sample(drawing, next, Colour::between(&BEYOND, 0.5), beyond);
     if scale.has_nothing {
-        next = sample(drawing, next, NOTHING, "NaN or infinite in only one of the files");
+        next = sample(drawing, next, NOTHING, "NaN or infinite, and different in the two files");
     }
     drawing.text((next, below + 16.0 * zoom), text, Anchor::Start, Colour::FAINT, "ring: the largest");
 }

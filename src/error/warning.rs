@@ -17,7 +17,7 @@ use std::path::PathBuf;
 pub enum Warning {
     /// A frame could not be aligned and is not merged.
     #[error(
-        "{}: rejected: {reason}; if the camera did not move, give --unmoved {}, or --align none for all frames",
+        "{}: rejected: {reason}; if the camera did not move, give --unmoved {} (in a batch, use `hdralign merge` for this), or --align none for all frames",
         path.display(),
         path.file_name().unwrap_or_default().display()
     )]
@@ -29,7 +29,7 @@ pub enum Warning {
     },
     /// A frame is too dark or too bright to be aligned; its transform is assumed from those of the other frames.
     #[error(
-        "{}: too {} to be aligned ({reason}): its transform is assumed from the other frames, within {error_px:.1} px, and it is merged only where the other frames are {}; exclude it with --leave-out",
+        "{}: too {} to be aligned ({reason}): its transform is assumed from the other frames, within {error_px:.1} px, and in the radiance it fills only what is {} in the other frames; exclude it with --leave-out (in a batch, use `hdralign merge` for this)",
         path.display(),
         if *is_dark { "dark" } else { "bright" },
         if *is_dark { "clipped" } else { "black" }
@@ -48,7 +48,7 @@ pub enum Warning {
     },
     /// A frame was aligned with low confidence.
     #[error(
-        "{}: aligned with low confidence ({confidence:.2}){}; check the result, or exclude it with --leave-out",
+        "{}: aligned with low confidence ({confidence:.2}){}; check the result, or exclude it with --leave-out (in a batch, use `hdralign merge` for this)",
         path.display(), displaced_words(*displaced_fraction, *displaced_px)
     )]
     LowConfidence {
@@ -56,14 +56,14 @@ pub enum Warning {
         path: PathBuf,
         /// The confidence, 0..1.
         confidence: f64,
-        /// Share of the picture that is displaced, 0..1.
+        /// Share of the parts with detail that are displaced, 0..1.
         displaced_fraction: f64,
-        /// Median displacement of the displaced parts of the picture, in pixels.
+        /// Median displacement of the displaced parts, in pixels.
         displaced_px: f64,
     },
     /// The largest rectangle that all merged frames cover is less than half of the reference.
     #[error(
-        "{}: the largest rectangle that all frames cover is only {:.0} % of the reference (that of this frame alone: {:.0} %); exclude it with --leave-out, or keep the whole reference with --crop none",
+        "{}: the largest rectangle that all frames cover is only {:.0} % of the reference (that of this frame alone: {:.0} %); exclude it with --leave-out (in a batch, use `hdralign merge` for this), or keep the whole reference with --crop none (merge, align and batch)",
         path.display(),
         100.0 * common,
         100.0 * overlap
@@ -95,23 +95,23 @@ pub enum Warning {
         /// Why the frames cannot be aligned.
         reason: String,
     },
-    /// The exposures in the files contradict the pixels and were replaced by estimates.
+    /// Exposures in the files contradict the pixels; some or all were replaced by estimates.
     #[error(
-        "the exposures in the files contradict the pixels ({detail}) and are estimated from the pixels instead; give -e to set them"
+        "exposures in the files contradict the pixels ({detail}), so some or all are estimated from the pixels instead; give -e to set them"
     )]
     ExposureContradicted {
         /// The exposures of the files and the estimates.
         detail: String,
     },
-    /// The files have no exposures; they were estimated from the pixels.
-    #[error("the exposures are estimated from the pixels ({detail}); give -e to set them")]
+    /// Some or all files have no usable exposure; the missing exposures were estimated from the pixels.
+    #[error("missing exposures are estimated from the pixels ({detail}); give -e to set them")]
     ExposureEstimated {
         /// What is missing, and what was estimated.
         detail: String,
     },
     /// The flash fired in some frames only, so the illumination differs.
     #[error(
-        "{}: the flash fired, unlike in the other frames; {}",
+        "{}: the flash fired, unlike in other frames; {}",
         path.display(),
         if *is_used { "it is merged anyway, check the result" } else { "it is excluded; to use it anyway, give -e with the exposures of all frames, or make it the reference with --reference" }
     )]
@@ -158,9 +158,9 @@ pub enum Warning {
         /// The curve that is used.
         used: String,
     },
-    /// The response of one channel could not be recovered; the mean of the other channels is used.
+    /// The response of one channel could not be recovered; the mean of the recovered channels is used.
     #[error(
-        "the camera's response in {channel} could not be recovered ({reason}); the mean of the other channels is used instead"
+        "the camera's response in {channel} could not be recovered ({reason}); the mean of the recovered channels is used instead"
     )]
     ResponseBorrowed {
         /// `red`, `green` or `blue`.
@@ -262,16 +262,17 @@ fn named(paths: &[PathBuf]) -> String {
     paths.iter().map(|path| path.display().to_string()).collect::<Vec<_>>().join(", ")
 }
 
-/// Smallest displaced share of the picture that a warning about low confidence mentions.
+/// Smallest share of displaced parts that a warning about low confidence mentions.
 const MENTIONED_FRACTION: f64 = 0.01;
 
-/// Returns how much of the picture is displaced, as text; empty if it is less than [`MENTIONED_FRACTION`].
+/// Returns the share of displaced parts and their displacement, as text; empty if it is less than
+/// [`MENTIONED_FRACTION`].
 fn displaced_words(fraction: f64, px: f64) -> String {
     if fraction < MENTIONED_FRACTION {
         return String::new();
     }
     format!(
-        ": {:.0} % of the picture is about {px:.0} px out of place, because of parallax or movement",
+        ": {:.0} % of the parts with detail are displaced by about {px:.0} px, perhaps because of parallax or movement",
         100.0 * fraction
     )
 }

@@ -88,8 +88,8 @@ pub struct RadianceMap {
 pub struct MergeOptions {
     /// The weighting function.
     pub weight: Weight,
-    /// The part of the reference frame to merge: its [overlap](crate::align::Alignment::overlap) with the other frames,
-    /// or all of it.
+    /// The part of the reference frame to merge, for example its [overlap](crate::align::Alignment::overlap) with the
+    /// other frames.
     pub region: Rect,
 }
 

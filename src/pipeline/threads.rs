@@ -11,7 +11,7 @@ const MOST_THREADS: usize = 1024;
 /// necessary.
 pub(super) fn in_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -> Result<R> + Send) -> Result<R> {
     if threads.is_none() {
-        start_threads()?;
+        start_threads(None)?;
     }
     in_own_pool(threads, work)
 }
@@ -35,23 +35,31 @@ pub(super) fn in_own_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -
     pool.map_err(|source| Error::Threads { threads, source })?.install(work)
 }
 
-/// Starts the global thread pool with one thread per core, unless it exists. Code that computes on the global pool
-/// without this call panics if the system refuses threads.
+/// Starts the global thread pool with `threads` threads, or with rayon's default (one per core) if it is `None`, unless
+/// the pool exists. Code that computes on the global pool without this call panics if the system refuses threads.
 ///
 /// # Errors
 /// [`Error::Threads`].
-pub fn start_threads() -> Result<()> {
+pub fn start_threads(threads: Option<usize>) -> Result<()> {
     if rayon::current_thread_index().is_some() {
         return Ok(());
     }
-    match rayon::ThreadPoolBuilder::new().build_global() {
+    // For rayon, 0 is the default number.
+    let threads = threads.unwrap_or(0).min(MOST_THREADS);
+    match rayon::ThreadPoolBuilder::new().num_threads(threads).build_global() {
         // If the pool exists already, the error has no source.
         Err(source) if std::error::Error::source(&source).is_some() => {
-            let threads = std::thread::available_parallelism().map_or(1, usize::from);
+            let threads = if threads == 0 { default_threads() } else { threads };
             Err(Error::Threads { threads, source })
         }
         _ => Ok(()),
     }
+}
+
+/// Returns the number of threads that rayon starts by default.
+fn default_threads() -> usize {
+    let given = std::env::var("RAYON_NUM_THREADS").ok().and_then(|count| count.parse::<usize>().ok());
+    given.filter(|&count| count > 0).unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from))
 }
 
 #[cfg(test)]

@@ -34,7 +34,8 @@ pub struct TonemapOptions {
     pub pictures: Vec<PathBuf>,
     /// Encoding of the files, and whether existing files are replaced.
     pub write: write::Options,
-    /// Number of threads; `None` for one per core. The results do not depend on it.
+    /// Largest number of threads; `None` for those of rayon's current thread pool (by default one per core). The
+    /// results do not depend on it.
     pub threads: Option<usize>,
     /// Limits for reading the file.
     pub limits: Limits,

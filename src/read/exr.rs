@@ -52,9 +52,10 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
     let chosen = layers.iter().find_map(|layer| Some((layer, colour(&layer.channel_data.list)?)));
     let grey = || layers.iter().find_map(|layer| Some((layer, luminance(&layer.channel_data.list)?)));
     let Some((layer, channels)) = chosen.or_else(grey) else {
-        let names = layers.iter().flat_map(|layer| &layer.channel_data.list);
-        let names: Vec<String> = names.take(8).map(|c| c.name.to_string()).collect();
-        return Err(format!("it needs the channels R, G and B, or Y, but has only {}", names.join(", ")));
+        let mut all = layers.iter().flat_map(|layer| &layer.channel_data.list).map(|c| c.name.to_string());
+        let mut names: Vec<String> = all.by_ref().take(8).collect();
+        names.extend(all.next().map(|_| "...".to_owned()));
+        return Err(format!("it needs the channels R, G and B, or Y, in one part, but has {}", names.join(", ")));
     };
     if channels.iter().any(|c| c.sampling != Vec2(1, 1)) {
         return Err("its chroma channels are subsampled; convert it to RGB first".into());
@@ -276,7 +277,7 @@ mod tests {
         let grey = read_back(vec![channel("Y", floats(|i| i as f32 / 3.0))], Compression::ZIP16).unwrap();
         assert_eq!(grey.pixels.at(2, 1), [2.0; 3]);
         let depth = read_back(vec![channel("Z", floats(|_| 1.0))], Compression::ZIP16).unwrap_err();
-        assert!(depth.to_string().contains("only Z"), "{depth}");
+        assert!(depth.to_string().contains("but has Z"), "{depth}");
     }
 
     #[test]

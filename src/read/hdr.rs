@@ -25,7 +25,7 @@ use crate::write::hdr::WHITE_EFFICACY;
 pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
     let mut rest = bytes;
     if !take_line(&mut rest).is_some_and(|l| l.starts_with("#?")) {
-        return Err("it does not begin with #?RADIANCE, so it has another format".into());
+        return Err("it does not begin with a complete line such as `#?RADIANCE`; copy it again".into());
     }
     let mut metadata = Metadata::default();
     let mut xyze = false;
@@ -52,13 +52,17 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
                 let all = factor.and_then(|factor| metadata.exposure_scale.times(factor));
                 metadata.exposure_scale = all.ok_or_else(|| {
                     format!(
-                        "its EXPOSURE is `{value}`; the product of all its EXPOSURE lines must be from 1e-20 to 1e20"
+                        "its EXPOSURE is `{value}`; it and the product of all EXPOSURE lines must stay between 1e-20 \
+                         and 1e20"
                     )
                 })?;
             }
             "COLORCORR" => {
                 corrections = corrected(corrections, value).ok_or_else(|| {
-                    format!("its COLORCORR is `{value}`; three factors from 1e-20 to 1e20 are required")
+                    format!(
+                        "its COLORCORR is `{value}`; three factors are required, and they and the products of all \
+                         COLORCORR lines must stay between 1e-20 and 1e20"
+                    )
                 })?;
             }
             "PRIMARIES" => metadata.primaries = primaries(value).ok_or("its PRIMARIES are not eight numbers")?,
@@ -81,9 +85,10 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
             _ => {}
         }
     }
-    let scan = take_line(&mut rest)
-        .and_then(|l| Scan::parse(&l))
-        .ok_or("its resolution line is not of the form `-Y height +X width` (either sign, in either order)")?;
+    let scan = take_line(&mut rest).and_then(|l| Scan::parse(&l)).ok_or(
+        "its resolution line is missing, or not of the form `-Y height +X width` with valid sizes (either sign, in \
+         either order)",
+    )?;
     // Every scanline takes at least 4 bytes, so the claimed size is checked before memory is reserved.
     if scan.lines.checked_mul(4).is_none_or(|least| least > rest.len()) || scan.length > 1 << 24 {
         return Err(format!("it is too short for {} lines of {} pixels; copy it again", scan.lines, scan.length));
@@ -106,7 +111,7 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
         // XYZ is in cd/m2, so the scale is multiplied by 179. XYZ is converted to RGB of BT.2020, because BT.2020
         // contains nearly all colours that a camera sees.
         let scale = Factor::new(WHITE_EFFICACY).and_then(|white| metadata.exposure_scale.times(white));
-        metadata.exposure_scale = scale.ok_or("its EXPOSURE must be from 1e-20 to 1e20")?;
+        metadata.exposure_scale = scale.ok_or("its EXPOSURE is too large for XYZE")?;
         metadata.primaries = Primaries::BT2020;
         let neutral = NeutralXyz::of(&metadata.primaries);
         pixels.iter_mut().for_each(|p| *p = neutral.to_rgb(*p));
@@ -291,5 +296,6 @@ mod tests {
         assert!(with("-Y 9", "-Y 4000000000").contains("too short"));
         assert!(parsed(&bytes[..bytes.len() - 1]).unwrap_err().contains("row 8"));
         assert!(parsed(&bytes[..40]).unwrap_err().contains("header"));
+        assert!(parsed(b"#?RADIANCE").unwrap_err().contains("complete line"));
     }
 }

@@ -57,8 +57,7 @@ impl Contents {
         let mut notes = Vec::new();
         if metadata.primaries.to_xyz().is_none() {
             metadata.primaries = Primaries::SRGB;
-            notes
-                .push("its chromaticities lie on a line, so they define no colour space; BT.709 is assumed".to_owned());
+            notes.push("its chromaticities define no colour space; BT.709 is assumed".to_owned());
         }
         let map = RadianceMap { pixels, primaries: metadata.primaries };
         Contents { map, metadata, unread: Vec::new(), notes }

@@ -15,8 +15,8 @@ use std::path::Path;
 pub struct Repaired {
     /// Number of pixels with NaN, which become black.
     pub not_numbers: usize,
-    /// Number of pixels with an infinite value. The value becomes the largest finite value of the picture, and keeps
-    /// its sign.
+    /// Number of pixels with an infinite value. The value becomes the largest finite value of the picture ([`FLOOR`] if
+    /// there is none above it), and keeps its sign.
     pub infinite: usize,
     /// Number of pixels with a negative value, that is, with a colour outside the gamut of the primaries. These pixels
     /// are desaturated at their luminance until they are inside; black if the luminance is not positive.
@@ -28,10 +28,14 @@ impl Repaired {
     pub fn warnings(&self, path: &Path) -> Vec<Warning> {
         let all = [
             (self.not_numbers, "pixels are not numbers (NaN); they are shown black"),
-            (self.infinite, "pixels are infinite; they are shown as bright as the brightest other pixel"),
+            (
+                self.infinite,
+                "pixels have infinite values; these are limited to the largest finite value, if there is one",
+            ),
             (
                 self.negative,
-                "pixels have negative values (colours outside the gamut); they are desaturated until they are inside",
+                "pixels have negative values (colours outside the gamut); they are desaturated until they are inside, \
+                 or black if their luminance is not positive",
             ),
         ];
         let found = all.into_iter().filter(|(count, _)| *count > 0);

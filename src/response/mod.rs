@@ -63,8 +63,8 @@ pub struct ResponseCurve {
 }
 
 impl ResponseCurve {
-    /// Returns the curve with these logarithms of exposure, or `None` if a value is not finite, does not fit into an
-    /// `f32`, or does not increase.
+    /// Returns the curve with these logarithms of exposure, or `None` if a value is not between -80 and 80, where
+    /// exposures fit into an `f32`, or if the values do not increase.
     pub fn new(ln_exposure: [[f64; CODES]; 3]) -> Option<Self> {
         let sound = |g: &[f64; CODES]| g.iter().all(|v| v.abs() < 80.0) && g.windows(2).all(|w| w[0] < w[1]);
         ln_exposure.iter().all(sound).then(|| ResponseCurve {
@@ -229,7 +229,7 @@ pub struct Fit {
     /// Degree of the polynomial, if the model is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub degree: Option<usize>,
-    /// Whether the response of the channel could not be recovered, so that the mean of the other channels is used;
+    /// Whether the response of the channel could not be recovered, so that the mean of the recovered channels is used;
     /// the numbers above are then 0.
     pub borrowed: bool,
 }
@@ -334,7 +334,7 @@ fn channel(samples: &[Sample], model: &ResponseModel) -> Fitted<Channel> {
 }
 
 /// Combines the curves of the channels. A channel that the scene does not show (a room in yellow light has no blue)
-/// gets the mean curve of the others. Fails if the scene shows no channel.
+/// gets the mean curve of the recovered channels. Fails if the scene shows no channel.
 fn together(channels: &[Fitted<Channel>], black: [f64; 3]) -> Fitted<(ResponseCurve, [Fit; 3])> {
     let known: Vec<&Channel> = channels.iter().flatten().collect();
     if known.is_empty() {

@@ -69,7 +69,7 @@ pub(crate) fn samples<R: Read + Seek>(decoder: &mut Decoder<R>, wanted: usize) -
                 (F64(chunk), Some(F64(all))) => place.put(chunk, all),
                 _ => {
                     return Err(format!(
-                        "its samples are signed or {depth}-bit integers, which are not supported; save it with unsigned 8-bit or 16-bit samples"
+                        "its samples are signed or {depth}-bit integers, which are not supported; save it with unsigned 8-bit or 16-bit samples, or, for radiance, with floats"
                     ));
                 }
             }

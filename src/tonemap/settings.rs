@@ -48,9 +48,10 @@ impl<'a> Setting<'a> {
         Setting::number("range", (3.0, 12.0), value, "stops from black to white on the display")
     }
 
-    /// Returns the setting for the mean code value of the picture.
+    /// Returns the setting for the target of the mean code value.
     pub(super) fn brightness(value: &'a mut f64) -> Self {
-        Setting::number("brightness", (0.1, 0.9), value, "mean pixel value of the picture, 0 to 1")
+        let about = "target for the mean pixel value, 0 to 1; it is not always reached";
+        Setting::number("brightness", (0.1, 0.9), value, about)
     }
 
     /// Returns the setting for saturation, which all operators have.

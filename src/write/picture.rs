@@ -106,17 +106,14 @@ impl Options {
         if outputs.iter().all(|output| output.format.holds_radiance())
             && let Some(option) = asked.into_iter().flatten().next()
         {
-            return refused(
-                option,
-                "no picture is written; add a picture with -o or --picture, or omit the option".into(),
-            );
+            return refused(option, "no picture is written; write a .png too, or omit the option".into());
         }
         let Some(jpeg) = outputs.iter().find(|output| output.format == Format::Jpeg) else { return Ok(()) };
         let name = jpeg.path.display();
         if self.depth == Depth::Sixteen {
             return refused(
                 "--bit-depth",
-                format!("{name}: JPEG has 8 bits; write a .png or .tif, or omit the option"),
+                format!("{name}: JPEG has 8 bits; write a .png instead, or omit the option"),
             );
         }
         if self.colours == Colours::AdobeRgb && gain_map != Resolution::None {

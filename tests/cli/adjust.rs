@@ -157,7 +157,7 @@ fn impossible_requests_are_errors_with_the_remedy() {
     folder.line(&format!("{MERGE} -o a.exr --exr-type float")).done();
     let before = folder.listing();
     for (options, said) in [
-        ("-o b.exr --brightness 1", &["--brightness", "no picture is written", "--picture"][..]),
+        ("-o b.exr --brightness 1", &["--brightness", "no picture is written", ".png"][..]),
         ("-o b.exr --white-balance auto", &["--white-balance", "no picture is written"]),
         ("-o b.png --brightness 6", &["--brightness", "-5 to 5"]),
         ("-o b.png --contrast nan", &["--contrast", "-100 to 100"]),

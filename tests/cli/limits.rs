@@ -344,7 +344,7 @@ fn devices_and_folders_are_rejected() {
     let folder = Folder::with_bracket();
     fs::create_dir(folder.at("sub.jpg")).expect("a folder");
     let zero = ["/dev/zero", "MB are read"];
-    refused(&folder, "merge w1.jpg /dev/zero -o a.png", &["/dev/zero", "only zeros"]);
+    refused(&folder, "merge w1.jpg /dev/zero -o a.png", &["/dev/zero", "begins with zeros"]);
     refused(&folder, "merge w1.jpg w2.jpg --transforms /dev/zero -o a.png", &zero);
     refused(&folder, "merge w1.jpg /dev/null -o a.png", &["/dev/null", "empty"]);
     refused(&folder, "tonemap /dev/zero -o a.png", &["/dev/zero", "a pipe or a device"]);

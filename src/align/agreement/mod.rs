@@ -72,9 +72,10 @@ impl TileCheck {
     /// Returns the evidence for this transform compared with that of `other`, in nats, from the tiles that have a
     /// correlation in both checks.
     ///
-    /// A transform leaves 1 - correlation^2 of a tile's variance unexplained. The evidence is the sum over the tiles of
-    /// ln(unexplained share under `other` / unexplained share under this transform). It is positive if this transform
-    /// matches better, negative if the other does.
+    /// A transform leaves 1 - correlation^2 of a tile's variance unexplained; a negative correlation counts as 0. To
+    /// this share, `UNEXPLAINED` is added. The evidence is the sum over the tiles of the logarithm of a ratio: the
+    /// unexplained share under `other`, divided by that under this transform. It is positive if this transform matches
+    /// better, negative if the other does.
     pub fn evidence_over(&self, other: &TileCheck) -> f64 {
         let unexplained = |c: f32| f64::from(1.0 - c.max(0.0) * c.max(0.0)) + UNEXPLAINED;
         let both = self.correlations.iter().zip(&other.correlations).filter_map(|(a, b)| Some(((*a)?, (*b)?)));

@@ -230,7 +230,8 @@ impl<'a> Descent<'a> {
                     let narrow = ((near - none) / 2.0, asymmetry[0] / 2.0, near / 4.0);
                     let weight = |(growth, _, variance): (f64, f64, f64)| growth * growth / variance.max(1.0);
                     let (growth, asymmetry, variance) = if weight(narrow) > weight(wide) { narrow } else { wide };
-                    // Growth of less than four standard deviations may be due to chance rather than to an edge.
+                    // If the growth is less than four standard deviations of the asymmetry, it may be due to chance
+                    // rather than to an edge.
                     if growth > 0.0 && growth * growth > 16.0 * variance {
                         let mut row = row;
                         row[UNKNOWNS - 1] = cut;

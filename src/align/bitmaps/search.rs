@@ -214,16 +214,18 @@ const SIGNIFICANT: f64 = 2.0;
 const ALTERNATIVES_SIDE: usize = 128;
 
 /// Largest number of bitmap words that are compared for one angle when every shift is tried. It takes some tenths of a
-/// second. With the default `max_shift`, only pictures that are much longer than wide reach this limit. In
-/// [`alternatives`], pictures reach it if they are about four times as long as wide.
+/// second. With the default `max_shift`, a picture reaches this limit only if it is much longer than wide; in
+/// [`alternatives`], only if it is about four times as long as wide, or longer.
 const MOST_WORK: i64 = 1 << 29;
 /// Overhead of starting a row, expressed as the number of words that could be compared in the same time.
 const ROW_WORDS: usize = 8;
 
-/// Number of candidates that are followed from the coarsest level on; each following level keeps two thirds of them.
+/// Largest number of candidates that the search on the coarsest level begins with. Each level keeps at most two thirds
+/// of its candidates, rounded up; the first level with sub-pixel refinement keeps one.
 const BEAM: usize = 9;
 
-/// A candidate is dropped if its rate of differing pixels is more than this multiple of the lowest rate.
+/// Before sub-pixel refinement, a candidate is dropped if its rate of differing pixels is more than this multiple of
+/// the lowest rate.
 const MOST_EXCESS: f64 = 1.5;
 
 /// On levels whose short side has at least this many pixels, motions are refined to fractions of a pixel, and only the

@@ -21,7 +21,8 @@ pub struct Match {
     pub frame: usize,
 }
 
-/// Restricts matches: the frame's keypoint must be within `radius` pixels of the position that `motion` predicts.
+/// Restricts matches: the frame's keypoint must be near the position that `motion` predicts. All keypoints within
+/// `radius` pixels are considered, and some that are farther away.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Guide {
     /// The predicted motion, reference pixel -> frame pixel.

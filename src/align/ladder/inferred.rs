@@ -21,15 +21,16 @@ use crate::align::transform::{Model, Transform, distance, map, on_level};
 /// and frames from a tripod that settles, can be displaced by this much.
 const STATIC_PX: f64 = 1.0;
 /// Largest expected error of an assumed transform, as a multiple of the error that halves the confidence
-/// ([`tolerance_px`]). The value is greater than 1, because such a frame is merged only where no other frame has detail
-/// ([`Placement::Assumed`]): there, an error displaces the detail, but does not blur it.
+/// ([`tolerance_px`]). The value is greater than 1, because in the radiance such a frame fills only what has no detail
+/// in any other frame ([`Placement::Assumed`]): there, an error displaces the detail, but does not blur it.
 const MOST_EXPECTED_ERROR: f64 = 2.0;
 /// A frame counts as nearly black or nearly white if at most this share of its pixels have detail. The value is between
 /// two cases: the lamps and windows of an interior are up to a tenth of the pixels; in a normally exposed photograph,
 /// nearly all pixels have detail.
 const LITTLE_DETAIL: f64 = 0.25;
-/// A transform is assumed only if at least this share of pairs of pixels have the same order of brightness in the frame
-/// and in its neighbour in exposure. The value is halfway between chance (0.5) and all pairs (1).
+/// If the order of brightness can be compared, a transform is assumed only if at least this share of pairs of pixels
+/// have the same order in the frame and in its neighbour in exposure. The value is halfway between chance (0.5) and all
+/// pairs (1).
 const IN_ORDER: f64 = 0.75;
 /// Largest number of samples along the longer side, for the comparison of the order of brightness.
 const GRID: usize = 256;
@@ -122,7 +123,8 @@ impl Search<'_> {
     }
 
     /// Whether the detail of frame `i`, placed by `place`, covers the brightest part of its nearest placed neighbour in
-    /// exposure (the darkest part, if frame `i` is nearly white). In a frame of another scene, it does not.
+    /// exposure (the darkest part, if frame `i` is nearly white). In a frame of another scene, it does not. True if the
+    /// two cannot be compared.
     fn has_same_brightness_order(
         &self,
         i: usize,

@@ -102,7 +102,8 @@ pub(super) fn rejection_reason(candidate: Option<&Candidate>) -> String {
     match candidate {
         None => "it has too little in common with the reference to estimate its motion".into(),
         Some(c) if c.agreement().agreeing + c.agreement().disagreeing < EXPLAINING_TILES => {
-            "too few parts of the frame have enough contrast to estimate its motion: most are black, clipped or uniform"
+            "too few parts of the frame can be compared with the reference to estimate its motion, for example because \
+             most are black, clipped or uniform"
                 .into()
         }
         Some(c) => format!(

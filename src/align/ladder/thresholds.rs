@@ -33,7 +33,7 @@ pub(super) const UNOPPOSED_AGREEING_PER_DISAGREEING: usize = 8;
 /// 0..=1. Chosen on rendered brackets.
 pub(super) const ACCEPTED_RELIABILITY: f64 = 0.25;
 /// The message about a rejected frame says how many tiles disagree, if at least this many tiles agree or disagree.
-/// Otherwise it says that too few parts of the frame have enough contrast. Chosen on rendered brackets.
+/// Otherwise it says that too few parts of the frame can be compared. Chosen on rendered brackets.
 pub(super) const EXPLAINING_TILES: usize = 8;
 /// Error estimate that halves the confidence of a candidate, in pixels, for pictures with a diagonal of up to 2000
 /// pixels. Chosen on rendered brackets.
@@ -59,11 +59,12 @@ pub(crate) const DECISIVE_NATS: f64 = 2.0;
 
 // Features.
 
-/// A homography from features is used only if it has at least this many inliers: four matches always fit, four more may
-/// fit by chance, and two are a margin. Chosen on rendered brackets.
+/// If features are the only method, a homography is accepted only if it has at least this many inliers: four matches
+/// always fit, four more may fit by chance, and two are a margin. If there are other methods, features corroborate a
+/// candidate only with at least twice as many inliers. Chosen on rendered brackets.
 pub(super) const LEAST_INLIERS: usize = 10;
-/// A candidate is corroborated by features if their two transforms differ by no more than this, in pixels of the full
-/// size per 1000 pixels of the diagonal. Chosen on rendered brackets.
+/// Features corroborate the best candidate only if their two transforms differ by no more than this, in pixels of the
+/// full size per 1000 pixels of the diagonal. Chosen on rendered brackets.
 pub(super) const CORROBORATED_PX: f64 = 2.0;
 /// Two candidates count as the same if their transforms differ by no more than this multiple of [`CORROBORATED_PX`];
 /// otherwise they are alternatives. Chosen on rendered brackets.

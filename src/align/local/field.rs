@@ -88,8 +88,9 @@ pub(crate) struct Misfit {
     /// The share of the picture that is displaced, minus the standard error of this share, 0..=1. The standard error is
     /// large if few cells are known, as in a dark frame.
     pub(crate) displaced_surely: f64,
-    /// Root mean square displacement of all known cells. If the share of the displaced cells is less than
-    /// [`LEAST_DISPLACED`], these count as 0.
+    /// Root mean square displacement of the cells, minus the part that is due to [`PEAK_BIAS`]. Displacements that are
+    /// not significant count as 0. If the share of the displaced cells is less than [`LEAST_DISPLACED`], these count as
+    /// 0, too.
     pub(crate) rms_px: f64,
 }
 

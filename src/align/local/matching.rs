@@ -22,8 +22,8 @@ const STEPS: (usize, usize) = (SIDE, SIDE / 2);
 /// Largest displacement that is searched, as a share of the long side. Depth displaces near objects by up to 2 %; the
 /// rest is for the error of the transform.
 const MOST_DISPLACEMENT: f64 = 0.03;
-/// Largest displacement that is searched without starting points from a coarser level: by [`near`], and by [`far`] on
-/// its coarsest level; in pixels of the level.
+/// Largest displacement that [`near`] searches, in pixels of the level. The search of [`far`] begins on the finest
+/// level on which its largest displacement is at most this; if there is none, on the coarsest level.
 const COARSEST_REACH: isize = 3;
 /// If the correlation of a patch is at least this at the position that the transform gives, and lower at the eight
 /// positions around it, no other position is searched.

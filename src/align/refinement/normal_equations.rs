@@ -2,9 +2,10 @@
 //!
 //! In: for each point, its residual r, its precision, and the derivatives J^T g of its grey value by the parameters (J:
 //! Jacobian of the position by the parameters, g: gradient of the grey value). Out: the matrix A = sum w J^T g g^T J
-//! and the vector b = sum w J^T g r, with a robust weight w for each point. Cost: 44 multiply-adds per point for eight
-//! parameters. Source: Baker, Gross, Ishikawa & Matthews, "Lucas-Kanade 20 Years On: Part 2", CMU-RI-TR-03-01, 2003
-//! (robust error functions, iteratively reweighted least squares); the weights are Tukey's biweight.
+//! and the vector b = sum w J^T g r, with a robust weight w for each point. Cost: at most 56 multiply-adds per point
+//! for eight parameters. Source: Baker, Gross, Ishikawa & Matthews, "Lucas-Kanade 20 Years On: Part 2",
+//! CMU-RI-TR-03-01, 2003 (robust error functions, iteratively reweighted least squares); the weights are Tukey's
+//! biweight.
 
 use crate::align::refinement::frame_pair::Point;
 use crate::simd::{Loops, vectorised};

@@ -1,7 +1,7 @@
 //! Resampling: the pixel values of a frame on the reference's grid, in one step.
 //!
 //! In: a [`Window`] of a frame and a [`Transform`]. Out: rows of pixel values as floats, [`OUTSIDE`] where the frame
-//! has no pixel. Cost: at most 42 multiply-adds per value, and fewer if the transform is nearly a shift; for the
+//! has no pixel. Cost: at most 56 multiply-adds per value, and fewer if the transform is nearly a shift; for the
 //! identity, values are only copied. Source: Turkowski, "Filters for Common Resampling Tasks", Graphics Gems I (1990),
 //! who recommends the Lanczos kernel (`lanczos`) for photographs.
 
@@ -44,8 +44,8 @@ pub fn rows_under(
     }
     let ends = corners.iter().map(|&(x, y)| map(&h, x, y).1);
     let (top, bottom) = ends.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
-    // Positions outside the frame are clamped. At both ends, the rows under the kernel and one row for rounding errors
-    // are added.
+    // Positions outside the frame are clamped. At both ends, the rows under the kernel and spare rows for rounding
+    // errors are added.
     let last = (size.1 - 1) as f64;
     let (first, end) = (top.clamp(0.0, last) as usize, bottom.clamp(0.0, last) as usize + 1);
     first.saturating_sub(BEFORE + 1)..(end + TAPS - BEFORE + 1).min(size.1)

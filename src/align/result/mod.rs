@@ -28,7 +28,7 @@ pub struct KeypointCounts {
 /// Numbers of keypoints and inliers of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct FeatureCounts {
-    /// Number of inliers of the robust estimator; none if features were not needed.
+    /// Number of inliers of the robust estimator; none or 0 if it was not used or found no homography.
     pub inliers: Option<usize>,
     /// Numbers of keypoints in this frame; none if features were not needed.
     pub keypoints: Option<KeypointCounts>,

@@ -12,9 +12,9 @@ pub enum Placement {
     Reference,
     /// Aligned by a transform; the identity if the frame did not move.
     Placed(Estimate),
-    /// The frame is too dark or too bright to be aligned; its transform is inferred from the other frames. The frame is
-    /// merged only where all other frames are clipped or black. [`Estimate::error_px`] is a bound that holds for 19 of
-    /// 20 such transforms.
+    /// The frame is too dark or too bright to be aligned; its transform is inferred from the other frames. In the
+    /// radiance, the frame fills only what is clipped or black in the other frames. [`Estimate::error_px`] is a bound
+    /// that holds for 19 of 20 such transforms.
     Assumed(Estimate),
     /// The frame is not merged.
     Rejected {
@@ -64,7 +64,7 @@ pub enum RejectedBy {
     Alignment,
     /// The user.
     User,
-    /// The flash, which fired in this frame alone.
+    /// The flash, which fired in this frame, but not in all frames.
     Flash,
 }
 
@@ -86,7 +86,8 @@ pub enum Status {
     /// apart ([`RejectedBy`]).
     #[serde(rename = "rejected", skip_deserializing)]
     Excluded,
-    /// Excluded because the flash fired in this frame alone. In files, it has the same name as [`Status::Rejected`].
+    /// Excluded because the flash fired in this frame, but not in all frames. In files, it has the same name as
+    /// [`Status::Rejected`].
     #[serde(rename = "rejected", skip_deserializing)]
     Flash,
 }

@@ -99,13 +99,13 @@ pub struct LeftOver {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum Reason {
-    /// It is a raw file. Contains the path of the photograph that is used instead of it, if there is one.
+    /// It is a raw file. Contains the path of the photograph that is considered instead, if there is one.
     Raw(Option<PathBuf>),
     /// It is in an unsupported format. Contains the name of the format.
     Format(&'static str),
-    /// Another file of the same shot is used. Contains the path of that file.
+    /// Another file of the same shot is considered. Contains the path of that file.
     Twin(PathBuf),
-    /// The same file is already used under another path. Contains that path.
+    /// The same file is considered under another path. Contains that path.
     SameFile(PathBuf),
     /// It is a result that hdralign wrote. Contains the name and version of the program from its EXIF.
     Result(String),
@@ -115,18 +115,18 @@ pub enum Reason {
     NoExposure,
     /// The flash fired for it, but not for some other photographs of the same camera, lens, size and folder.
     Flash,
-    /// No photograph of another exposure is close enough in time.
+    /// It forms no bracket with the photographs before and after it.
     Single,
     /// It is one of several consecutive photographs with the same exposure. Contains their number.
     Burst(usize),
     /// Only with [`FindOptions::frames`]: too few photographs around it are left for a bracket of that number of
     /// frames. Contains that number.
     Remainder(usize),
-    /// Only with [`FindOptions::by_folder`]: its size differs from the size of the bracket of its folder. Contains the
-    /// width and height of the photograph, then the width and height of the bracket.
+    /// Only with [`FindOptions::by_folder`]: its size differs from the size that is considered in its folder. Contains
+    /// the width and height of the photograph, then the width and height that are considered.
     OtherSize((usize, usize), (usize, usize)),
-    /// Only with [`FindOptions::by_folder`]: no other photograph of the folder has its size, so it would be alone in
-    /// the bracket.
+    /// Only with [`FindOptions::by_folder`]: no other usable photograph of the folder has its size, so it would be
+    /// alone in the bracket.
     Alone,
 }
 
@@ -134,7 +134,7 @@ impl fmt::Display for Reason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let name = |path: &PathBuf| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         match self {
-            Reason::Raw(Some(used)) => write!(f, "a raw file; {} beside it is used", name(used)),
+            Reason::Raw(Some(used)) => write!(f, "a raw file; {} beside it is considered instead", name(used)),
             Reason::Raw(None) => {
                 write!(
                     f,
@@ -157,7 +157,7 @@ impl fmt::Display for Reason {
             ),
             Reason::Single => write!(
                 f,
-                "a single photograph: no other exposure of the scene is close enough in time; --gap sets the longest pause, --bracket N the number of frames"
+                "a single photograph: it forms no bracket with the photographs before and after it; --gap sets the longest pause, --bracket N the number of frames"
             ),
             Reason::Burst(count) => write!(
                 f,
@@ -172,11 +172,11 @@ impl fmt::Display for Reason {
             Reason::OtherSize(own, others) => {
                 write!(
                     f,
-                    "it has {}x{} pixels, but the bracket of its folder has {}x{}",
+                    "it has {}x{} pixels, but of its folder only photographs with {}x{} are considered",
                     own.0, own.1, others.0, others.1
                 )
             }
-            Reason::Alone => write!(f, "the only photograph in its folder"),
+            Reason::Alone => write!(f, "there is no other usable photograph of its size in its folder"),
         }
     }
 }

@@ -11,7 +11,7 @@ use super::{Found, Reason, Stored, to_rgb};
 use crate::bracket::Samples;
 use crate::limits::{self, DEFLATE, Limits as Allowed};
 use png::{BitDepth, ColorType, Decoder, Limits, Transformations};
-use std::io::{BufReader, Cursor, Read, Seek};
+use std::io::{BufReader, Cursor, ErrorKind, Read, Seek};
 
 /// Decodes a PNG file. Checksums are checked up to the end of the file.
 pub(super) fn decode(bytes: &[u8], allowed: &Allowed) -> Result<Stored, Reason> {
@@ -91,7 +91,10 @@ const MOST_EXIF: u32 = 1 << 20;
 
 /// Reads the size, the EXIF and the name of the writing program, by seeking from chunk to chunk.
 pub(super) fn head<R: Read + Seek>(reader: &mut BufReader<R>) -> Result<Found, Reason> {
-    let damaged = |_| Reason::from("it ends before the picture (truncated); copy the file again");
+    let damaged = |e: std::io::Error| match e.kind() {
+        ErrorKind::UnexpectedEof => "it ends before its end marker (truncated); copy the file again".to_owned(),
+        _ => e.to_string(),
+    };
     reader.seek_relative(8).map_err(damaged)?;
     let mut found: Option<Found> = None;
     // An eXIf chunk takes precedence over a "Raw profile type exif" text chunk; of several of the same kind, the first

@@ -45,7 +45,7 @@ const OTHERS: [(&[u8], &str); 22] = [
     (b"MMOR", "camera raw (Olympus ORF)"),
     (b"IIU\0", "camera raw (Panasonic RW2)"),
     (b"PK\x03\x04", "ZIP archive"),
-    (b"\0\0\0\0", "only zeros; copy the file again"),
+    (b"\0\0\0\0", "it begins with zeros; if it is damaged, copy the file again"),
 ];
 
 /// Returns the format of `bytes`. If it is not supported, the error describes what `bytes` look like instead.

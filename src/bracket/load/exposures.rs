@@ -42,8 +42,8 @@ pub(super) fn settle(
     let mut exposures = by_tags;
     if accepted.len() < order.len() {
         let what = contradiction.clone().unwrap_or_else(|| match missing.len() {
-            1 => format!("{} has no exposure in its EXIF", pictures[missing[0]].path.display()),
-            n => format!("{n} of {} files have no exposure in their EXIF", pictures.len()),
+            1 => format!("{} has no usable exposure in its EXIF", pictures[missing[0]].path.display()),
+            n => format!("{n} of {} files have no usable exposure in their EXIF", pictures.len()),
         });
         let unknown = |reason: &str| match missing.first() {
             Some(&first) => Error::NoExposure {

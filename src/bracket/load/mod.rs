@@ -289,7 +289,7 @@ fn exclude_flash(pictures: &mut [Picture], reference: &ReferenceChoice) -> Resul
         if unlit < 2 || chosen.as_ref() == Some(&picture.path) {
             warnings.push(Warning::FlashFired { path: picture.path.clone(), is_used: true });
         } else {
-            picture.excluded = Some("the flash fired, unlike in the other frames".to_owned());
+            picture.excluded = Some("the flash fired, unlike in other frames".to_owned());
         }
     }
     warnings.sort_by_key(ToString::to_string);

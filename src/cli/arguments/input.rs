@@ -84,7 +84,7 @@ pub struct Work {
 const STRICT: &str = "\
 Exit with code 3 if the result is degraded (may be inaccurate)
 
-A result is degraded if
+A result is degraded if a warning reports that
 - a frame could not be aligned, or only with a confidence below 0.5
 - a frame was too dark or too bright to align, and other frames show that the camera moved
 - the frames overlap by less than half, or two of them have the same pixels
@@ -93,7 +93,7 @@ A result is degraded if
 - the response could not be recovered, is of another camera, or contradicts the pixels
 - the brackets given to `hdralign response` are of different cameras
 - `batch --shared-response` could not use a bracket for the response of its camera
-The results are written in any case. Frames that the user excluded do not count";
+Degraded results are written, too. A frame that the user excluded need not be aligned";
 
 /// Limit on the size of images.
 #[derive(Debug, Args)]
@@ -208,7 +208,7 @@ pub struct Results {
     #[arg(long, help_heading = OUTPUT)]
     pub json: bool,
 
-    /// Print a line for each frame and the time of each stage
+    /// Print a line for each frame and the times of the main stages
     #[arg(short, long, help_heading = OUTPUT, conflicts_with = "quiet")]
     pub verbose: bool,
 

@@ -15,7 +15,8 @@ pub struct Recovery {
     #[arg(long, hide_short_help = true, value_parser = choice::<ResponseModel>(), default_value_t, value_name = "MODEL")]
     response_model: ResponseModel,
 
-    /// Set the degree of the polynomial of mitsunaga-nayar, 1 to 10; for experts [default: the smallest that fits]
+    /// Set the degree of the polynomial of mitsunaga-nayar, 1 to 10; for experts [default: the smallest from 3 on that
+    /// fits]
     #[arg(long, hide_short_help = true, value_name = "N")]
     response_degree: Option<usize>,
 
@@ -33,7 +34,7 @@ impl Recovery {
                 Ok(ResponseModel::MitsunagaNayar(mitsunaga_nayar::Options { degree, ..options.clone() }))
             }
             _ => {
-                let reason = "only polynomials have a degree; add --response-model mitsunaga-nayar".to_owned();
+                let reason = "only polynomials have a degree; give --response-model mitsunaga-nayar".to_owned();
                 Err(Error::Option { option: "--response-degree", reason })
             }
         }

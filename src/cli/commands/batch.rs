@@ -38,12 +38,13 @@ is run by --run PLAN --id ID, on any machine; --summarize PLAN combines the resu
 
 Exit codes:
   0  all brackets done
-  1  nothing done, or no bracket found
+  1  nothing done, no bracket found, or another error
   2  wrong usage
-  3  some brackets done, others failed; or a photograph or folder could not be read, or the
-     summary could not be written; with --strict also if a result is degraded
-Results of earlier runs count like those of this run. With --shared-response, the code is also 3
-if the response of a camera was recovered, but no bracket was merged.
+  3  some brackets done, others not; or all done, but a photograph or folder could not be read,
+     or the summary could not be written at the end; with --strict also if a result is degraded
+Results of earlier runs count like those of this run. With --dry-run and --plan, a bracket that is
+listed counts as done, and unreadable files do not count. With --shared-response, the code is also
+3 if the response of a camera was recovered, but no bracket was merged.
 ";
 
 /// Returns `arg`, an argument that several commands share, with the help text for this command.
@@ -276,7 +277,7 @@ pub fn run(args: &Args, matches: Option<&ArgMatches>) -> Result<ExitCode, Error>
         let reason = "no folder to search; give one or more".to_owned();
         return Err(Error::Option { option: "FOLDER", reason });
     }
-    pipeline::start_threads()?;
+    pipeline::start_threads(args.work.threads)?;
     let bar = night::Searching::new(args.work.quiet);
     let found = find::find(&args.folders, &args.find_options(), &|count| bar.show(count));
     drop(bar);
@@ -324,11 +325,19 @@ impl Args {
         }
         let paths =
             |formats: &[String]| formats.iter().map(|f| Path::new("result").with_extension(f)).collect::<Vec<_>>();
-        let results = [write::Output::results(&paths(&formats))?, write::Output::pictures(&paths(&pictures))?];
-        acting.write.check(&results.concat())?;
+        // The error of the library names a file and the options of `merge`.
+        let of_pictures = |error: Error| match error {
+            Error::Option { .. } => {
+                let reason = "it takes only formats of pictures (png, jpg, tif); give exr and hdr with --formats";
+                Error::Option { option: "--pictures", reason: reason.into() }
+            }
+            other => other,
+        };
+        let drawn = write::Output::pictures(&paths(&pictures)).map_err(of_pictures)?;
+        acting.write.check(&[write::Output::results(&paths(&formats))?, drawn].concat())?;
         let normalisation = self.acting.normalize;
         if normalisation != Normalisation::Bracket && acting.calibration.is_asked() {
-            let reason = "radiance in cd/m2 already has the same unit in all brackets; remove --normalize, or remove both --absolute and --calibration-factor";
+            let reason = "it cannot be combined with --absolute or --calibration-factor; remove it, or these options";
             return Err(Error::Option { option: "--normalize", reason: reason.into() });
         }
         Ok(Settings {

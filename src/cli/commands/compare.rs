@@ -109,7 +109,7 @@ pub fn run(args: &Args) -> Result<ExitCode, Error> {
             crate::cli::say(line);
         }
     };
-    pipeline::start_threads()?;
+    pipeline::start_threads(None)?;
     leftovers::clear(&args.diff.iter().chain(args.bless.then_some(&args.expected)).collect::<Vec<_>>());
     let compared = match compare::files(&args.expected, &args.actual, &args.options()) {
         Ok(compared) => Some(compared),
@@ -168,7 +168,7 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
         let off = match (largest.stops, largest.de) {
             (Some(stops), _) => format!("{stops:.3} stops"),
             (_, Some(de)) => format!("dE {de:.2}"),
-            _ => "NaN or infinite in only one of the files".into(),
+            _ => "NaN or infinite, and different in the two files".into(),
         };
         let values = |rgb: [Option<f64>; 3]| rgb.map(|v| v.map_or("-".into(), number)).join(" ");
         let (expected, actual) = (values(largest.expected), values(largest.actual));
@@ -184,7 +184,10 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
         if radiance.not_comparable_pixels > 0 {
             row(
                 "odd",
-                format!("{} pixels are NaN or infinite in only one of the files", radiance.not_comparable_pixels),
+                format!(
+                    "{} pixels are NaN or infinite, and different in the two files",
+                    radiance.not_comparable_pixels
+                ),
             );
         }
         // If the mean of the differences in stops is almost equal to their RMS, most pixels differ by nearly the same

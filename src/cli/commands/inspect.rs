@@ -12,7 +12,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 const AFTER_HELP: &str = "\
-Files, for each photograph NAME:
+Files, for each photograph NAME (for the reference frame only the first three kinds):
   NAME.threshold.png                       median threshold bitmap: pixels brighter than a grey
                                            value (usually the median) are white, others black
   NAME.exclusion.png                       white: pixels that are compared; black: excluded pixels

@@ -37,7 +37,7 @@ pub(in crate::inspect) fn draw(title: &str, curves: &XorCurves, placed: bool) ->
     let found = if placed {
         "the alignment"
     } else {
-        "the motion for which the bitmaps match best; it is not used, because the frame was rejected"
+        "the motion for which the bitmaps match best; it is not used, because the frame is rejected or excluded"
     };
     let legend = [
         Entry { mark: Mark::Patch, colour: CURVE, words: "differing pixels".into() },

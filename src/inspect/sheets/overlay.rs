@@ -19,7 +19,7 @@ const PEN: usize = 2;
 pub struct Overlay {
     /// The edges as photographed, before alignment.
     pub before: Plane<[u8; 3]>,
-    /// The edges after alignment; `None` if the frame was rejected.
+    /// The edges after alignment; `None` if the frame is rejected or excluded.
     pub after: Option<Plane<[u8; 3]>>,
     /// Number of rows that show the whole picture. The rows below them, if any, show the details.
     pub whole_rows: usize,

@@ -51,7 +51,7 @@ pub(in crate::inspect) struct Couple<'a> {
     pub(in crate::inspect) frame: &'a Frame,
     pub(in crate::inspect) reference_grey: &'a Plane<u8>,
     pub(in crate::inspect) frame_grey: &'a Plane<u8>,
-    /// Maps pixels of the reference frame to pixels of the other frame; `None` if that frame was rejected.
+    /// Maps pixels of the reference frame to pixels of the other frame; `None` if that frame is rejected or excluded.
     pub(in crate::inspect) warp: Option<Transform>,
 }
 
@@ -59,8 +59,8 @@ pub(in crate::inspect) struct Couple<'a> {
 pub(super) struct Views<'a> {
     couple: &'a Couple<'a>,
     pub(super) reference: Edges,
-    /// The edges of the frame before alignment and, unless it was rejected, after alignment. Each element also
-    /// contains the transform with which the frame was resampled.
+    /// The edges of the frame before alignment and, unless it is rejected or excluded, after alignment. Each element
+    /// also contains the transform with which the frame was resampled.
     pub(super) frame: Vec<(Transform, Edges)>,
     /// Width and height of the whole picture on the page, in pixels of the page.
     pub(super) size: (f64, f64),
@@ -113,7 +113,7 @@ pub(in crate::inspect) fn draw(title: &str, couple: &Couple) -> Result<Drawing, 
         notes += &format!(" Below: the marked areas, enlarged: {MAGNIFIED} px for each pixel of the photograph.");
     }
     if couple.warp.is_none() {
-        notes += " The frame could not be aligned, so there is no view after alignment.";
+        notes += " The frame is rejected or excluded, so there is no view after alignment.";
     }
     let mut page = Page::new(title, &legend, room, &notes);
     for (k, ((_, view), words)) in views.frame.iter().zip(["before: as photographed", "after: aligned"]).enumerate() {

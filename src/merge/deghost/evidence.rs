@@ -1,9 +1,9 @@
 //! Evidence of motion: differences between a frame and the pixels that it is compared with, called the standard, that
 //! are larger than errors of noise, response and alignment.
 //!
-//! In: cells of a frame and of the standard. The standard is the reference frame, or, where the reference is clipped or
-//! black, another frame that agrees with it. Out: for each cell whether it moved. Cost: some 100 ns per cell, and 100
-//! ns more for a cell that differs.
+//! In: cells of a frame and of the standard. The standard is the reference frame, or, where the reference is clipped,
+//! black or noisy, another frame that agrees with it. Out: for each cell whether it moved. Cost: some 100 ns per cell,
+//! and 100 ns more for a cell that differs.
 //!
 //! The difference of a cell and channel is divided by its standard deviation: the root of the sum of the squares of
 //!

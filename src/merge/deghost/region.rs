@@ -60,7 +60,7 @@ pub fn closed(plane: &Plane<bool>, reach: usize) -> Plane<bool> {
 }
 
 /// Returns the factor, times 255, by which the weight of a frame is multiplied. It is 0 up to a distance of `reach`
-/// cells from the true cells of `plane`, and rises to 255 within the next `2 * fade` cells.
+/// cells from the true cells of `plane`, rises over the next `2 * fade` cells, and is 255 beyond them.
 pub fn kept(plane: &Plane<bool>, reach: usize, fade: usize) -> Plane<u8> {
     let (width, height) = (plane.width(), plane.height());
     // The mean below extends `fade` cells to either side. So cells up to a distance of `reach + fade` are excluded, to

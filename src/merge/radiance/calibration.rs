@@ -19,6 +19,7 @@
 //! measured luminance divided by reported luminance.
 
 use crate::bracket::Frame;
+use crate::bracket::exposure::ExposureSource;
 use crate::error::{Error, Result};
 use crate::merge::RadianceMap;
 use crate::plane::BAND_ROWS;
@@ -157,12 +158,16 @@ fn top_code_luminance(frame: &Frame) -> Result<f64> {
     if missing.is_empty() {
         return Ok(CAMERA_CONSTANT / exposure.relative());
     }
+    let why = match exposure.source {
+        ExposureSource::Exif => format!("the EXIF has no {}", missing.join(" and ")),
+        ExposureSource::Given => "its exposure is given by -e and not from EXIF".to_owned(),
+        ExposureSource::Estimated => "its exposure is estimated from the pixels and not from EXIF".to_owned(),
+    };
     Err(Error::Option {
         option: "--absolute",
         reason: format!(
-            "{}: the EXIF has no {}; measure one luminance and give --calibration-factor (cd/m2 per unit of radiance) instead of --absolute",
-            frame.path().display(),
-            missing.join(" and ")
+            "{}: {why}; measure one luminance and give --calibration-factor (cd/m2 per unit of radiance) instead of --absolute",
+            frame.path().display()
         ),
     })
 }

@@ -84,7 +84,7 @@ pub(in crate::page) fn moved(page: &Page, report: &Report) -> String {
     let all: Vec<(&FrameReport, &FramePage)> = report.frames.iter().zip(&page.frames).collect();
     let mut out = String::new();
     if !all.iter().any(|(frame, _)| is_searched(frame.alignment.status)) {
-        out += "<p class=\"intro\">No frame was moved: all have the same position as the reference. The measurements are below.</p>\n";
+        out += "<p class=\"intro\">No frame was moved. The measurements are below.</p>\n";
     } else {
         out += "<p class=\"intro\">Edges of the reference in orange, edges of the frame in blue; where both \
                 coincide they are white. Move the slider: left of it the frame is as photographed, right of it as \
@@ -100,7 +100,12 @@ pub(in crate::page) fn moved(page: &Page, report: &Report) -> String {
         }
         let _ = write!(out, "<details class=\"frame {class}\">\n<summary>{heading}</summary>\n");
         if let Some(reason) = frame.alignment.reason.as_ref() {
-            let what = if frame.alignment.status == Status::Assumed { "Assumed" } else { "Left out" };
+            let what = match frame.alignment.status {
+                Status::Assumed => "Assumed",
+                Status::Rejected | Status::Excluded | Status::Flash => "Left out",
+                Status::Unmoved => "Not aligned",
+                Status::Reference | Status::Aligned => "Note",
+            };
             let _ = writeln!(out, "<p class=\"reason\">{what}: {}</p>", escape(reason));
         }
         if let Some(overlay) = &shown.evidence.overlay {

@@ -127,7 +127,7 @@ fn overlays(page: &Page, report: &Report) -> (String, String) {
     }
 }
 
-/// Describes how the size of the pictures on the page differs from that of the files.
+/// Describes how the size of the pictures on the page differs from that of the result (before `--resize`).
 fn caption(page: &Page, report: &Report, result: Option<&Picture>) -> String {
     let crop = &report.crop;
     let mut words = String::new();
@@ -138,12 +138,12 @@ fn caption(page: &Page, report: &Report, result: Option<&Picture>) -> String {
         });
         words += &match result.width == crop.width_px {
             true => format!(
-                "The result is shown with all its {} × {} pixels: 100\u{a0}% here is 100\u{a0}% of the file.",
+                "The result is shown with all its {} × {} pixels: 100\u{a0}% here is 100\u{a0}% of the result.",
                 crop.width_px, crop.height_px
             ),
             false => format!(
                 "To keep the page small, the result is shown with {} × {} of its {} × {} pixels: <b>100\u{a0}% here is \
-                 {:.0}\u{a0}% of the file.</b>{open}",
+                 {:.0}\u{a0}% of the result.</b>{open}",
                 result.width,
                 result.height,
                 crop.width_px,

@@ -69,13 +69,9 @@ fn frames(report: &Report) -> String {
             &format!(" The dynamic range of the result is {stops:.1} stops, between the noise floor and clipping.");
     }
     let out = [
-        (
-            Status::Rejected,
-            "did not fit the others and could not be aligned",
-            "did not fit the others and could not be aligned",
-        ),
+        (Status::Rejected, "could not be aligned", "could not be aligned"),
         (Status::Excluded, "was excluded by you", "were excluded by you"),
-        (Status::Flash, "was taken with flash, unlike the others", "were taken with flash, unlike the others"),
+        (Status::Flash, "was taken with flash, unlike other frames", "were taken with flash, unlike other frames"),
     ];
     for (status, one, several) in out {
         let frames = with(report, status);
@@ -117,22 +113,25 @@ fn alignment(report: &Report) -> String {
         }
     } else {
         let was_off = report.options.as_ref().is_some_and(|options| options.align == AlignMode::None);
-        words += match (was_off, with(report, Status::Unmoved).next()) {
-            (true, _) => "The frames were not aligned, as set by <code>--align none</code>.",
-            (false, Some(_)) => "The camera did not move: the frames did not have to be aligned.",
-            (false, None) => "No frame was aligned to the reference.",
+        let (unmoved, assumed) = (with(report, Status::Unmoved), with(report, Status::Assumed));
+        words += &match (was_off, unmoved.clone().next(), assumed.count()) {
+            (true, ..) => "The frames were not aligned, as set by <code>--align none</code>.".to_owned(),
+            (false, Some(_), 0) => "No frame was moved.".to_owned(),
+            // An assumed position may be a moved one.
+            (false, Some(_), _) => format!("Not moved: {}.", named(unmoved)),
+            (false, None, _) => "No frame was aligned to the reference.".to_owned(),
         };
     }
     let assumed = with(report, Status::Assumed);
     let count = assumed.clone().count();
     if count > 0 {
         words += &format!(
-            " {} {} too dark or too bright to be aligned. {} position was estimated from the other frames, and {} used only \
-             where the other frames are clipped or black.",
+            " {} {} too dark or too bright to be aligned. {} position was estimated from the other frames, and in the \
+             radiance {} only what is clipped or black in the other frames.",
             named(assumed),
             if count == 1 { "is" } else { "are" },
             if count == 1 { "Its" } else { "Their" },
-            if count == 1 { "it is" } else { "they are" }
+            if count == 1 { "it fills" } else { "they fill" }
         );
     }
     if let Some(path) = &report.transforms_from {
@@ -200,7 +199,8 @@ fn exposures(report: &Report) -> Option<String> {
         (0, 0) => "Read from the files.".to_owned(),
         (0, _) => "As given with <code>-e</code>.".to_owned(),
         (estimated, _) if estimated == report.frames.len() => {
-            "Estimated from the pixels, because the files do not record them. Set them with <code>-e</code>.".to_owned()
+            "Estimated from the pixels, because the files contain no usable exposures. Set them with <code>-e</code>."
+                .to_owned()
         }
         _ => format!(
             "The exposures of {} were estimated from the pixels. Set them with <code>-e</code>.",
@@ -223,7 +223,7 @@ fn response(report: &Report) -> Option<String> {
     let is_local = report.local_processing.as_ref().is_some_and(|local| local.locally_processed);
     Some(match (&response.fallback, response.model) {
         (Some(_), _) if is_local => {
-            "The response cannot be measured, because the camera tone-mapped the frames; the sRGB curve was used."
+            "The response cannot be measured, because the camera tone-mapped the frames; a curve like sRGB was used."
                 .into()
         }
         (Some(why), model) => {
@@ -245,7 +245,7 @@ fn bounds(report: &Report) -> Option<String> {
     let merged = report.radiance.as_ref()?;
     let pixels = (report.crop.width_px * report.crop.height_px).max(1) as f64;
     let words = [
-        (merged.all_clipped, "white even in the shortest frame", "shorter"),
+        (merged.all_clipped, "clipped even in the shortest frame", "shorter"),
         (merged.all_black, "black even in the longest frame", "longer"),
     ];
     let worth = words.iter().map(|(n, what, add)| (*n as f64 / pixels, what, add)).filter(|w| w.0 > WORTH);

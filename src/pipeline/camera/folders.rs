@@ -5,25 +5,39 @@
 use crate::bracket::EXTENSIONS;
 use crate::bracket::header::Header;
 use crate::error::{Error, Result};
+use crate::intake;
 use crate::limits::Limits;
 use crate::pipeline::files::names::natural;
 use std::path::{Path, PathBuf};
 
+/// A folder and the photographs in it.
+struct Folder {
+    path: PathBuf,
+    /// Identity of the folder; `None` if it does not exist.
+    identity: Option<intake::Identity>,
+    bracket: Vec<PathBuf>,
+}
+
 /// Groups photographs by folder, in the order in which the folders first occur in `images`. A folder in `images` stands
-/// for all photographs in it, sorted by name.
+/// for all photographs in it, sorted by name. Different spellings of a folder, such as `a` and `./a`, are one folder.
 pub(super) fn brackets(images: &[PathBuf]) -> Result<Vec<Vec<PathBuf>>> {
-    let mut found: Vec<(PathBuf, Vec<PathBuf>)> = Vec::new();
+    let mut found: Vec<Folder> = Vec::new();
     for image in images {
         let paths = if image.is_dir() { photographs(image)? } else { vec![image.clone()] };
         for path in paths {
-            let folder = path.parent().unwrap_or(Path::new("")).to_path_buf();
-            match found.iter_mut().find(|(name, _)| *name == folder) {
-                Some((_, bracket)) => bracket.push(path),
-                None => found.push((folder, vec![path])),
+            let folder = match path.parent() {
+                Some(folder) if !folder.as_os_str().is_empty() => folder.to_path_buf(),
+                _ => PathBuf::from("."),
+            };
+            let identity = intake::identity(&folder);
+            let is_same = |f: &&mut Folder| f.path == folder || identity.is_some() && f.identity == identity;
+            match found.iter_mut().find(is_same) {
+                Some(known) => known.bracket.push(path),
+                None => found.push(Folder { path: folder, identity, bracket: vec![path] }),
             }
         }
     }
-    if let Some((folder, bracket)) = found.iter().find(|(_, bracket)| bracket.len() < 2) {
+    if let Some(Folder { path: folder, bracket, .. }) = found.iter().find(|folder| folder.bracket.len() < 2) {
         if found.len() == 1 && images.len() == 1 && !images[0].is_dir() {
             return Err(Error::TooFewFrames { given: bracket.len() });
         }
@@ -34,7 +48,7 @@ pub(super) fn brackets(images: &[PathBuf]) -> Result<Vec<Vec<PathBuf>>> {
         );
         return Err(Error::Option { option: "IMAGES", reason });
     }
-    Ok(found.into_iter().map(|(_, bracket)| bracket).collect())
+    Ok(found.into_iter().map(|folder| folder.bracket).collect())
 }
 
 /// Returns the files in `folder` that have the extension of a photograph, sorted by name, without results of hdralign.
@@ -77,6 +91,8 @@ mod tests {
             all,
             [vec![at("a/7.JPE"), at("a/8.jfif"), at("a/9.jpg"), at("a/10.JPG")], vec![at("b/2.tif"), at("b/1.png")]]
         );
+        let two_spellings = [at("b/2.tif"), at("a/../b/1.png")];
+        assert_eq!(brackets(&two_spellings).unwrap(), [two_spellings.to_vec()]);
         assert!(brackets(&[at("empty")]).unwrap_err().to_string().contains("0 photographs"));
         assert!(brackets(&[at("a"), at("b/1.png")]).unwrap_err().to_string().contains("only"));
         assert!(matches!(brackets(&[at("b/1.png")]), Err(Error::TooFewFrames { given: 1 })));

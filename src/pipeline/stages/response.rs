@@ -121,7 +121,9 @@ fn contradicted_response(
 fn remedy(is_local: bool) -> &'static str {
     match is_local {
         true => "omit --response or --shared-response, so that hdralign undoes the camera's local tone mapping",
-        false => "recover the response of the photographs with `hdralign response`, or omit --response",
+        false => {
+            "recover the response of the photographs with `hdralign response`, or omit --response or --shared-response"
+        }
     }
 }
 

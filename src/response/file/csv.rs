@@ -60,7 +60,13 @@ pub(crate) fn read(text: &str) -> Result<ResponseCurve, String> {
     let channels: [Vec<f64>; 3] = match curves[..] {
         [all] if all.columns == 7 => [2, 4, 6].map(|k| column(all, k)),
         [red, green, blue] if curves.iter().all(|m| m.columns == 3) => [red, green, blue].map(|m| column(m, 2)),
-        [] => return Err("it contains no matrix: a line `# rows: 256` is required".to_owned()),
+        [] => {
+            return Err(
+                "it contains no matrix with 3 or 7 columns; the header of a matrix has lines such as `# rows: 256` and \
+                 `# columns: 7`"
+                    .to_owned(),
+            );
+        }
         _ => {
             let columns: Vec<String> = curves.iter().map(|m| m.columns.to_string()).collect();
             return Err(format!(
@@ -76,8 +82,7 @@ pub(crate) fn read(text: &str) -> Result<ResponseCurve, String> {
         })?;
     }
     let mid = g.iter().map(|g| g[MID]).sum::<f64>() / 3.0;
-    ResponseCurve::new(g.map(|g| g.map(|v| v - mid)))
-        .ok_or_else(|| "its values do not fit into a 32-bit float".to_owned())
+    ResponseCurve::new(g.map(|g| g.map(|v| v - mid))).ok_or_else(|| "its values are too large or too small".to_owned())
 }
 
 /// Returns ln of the responses at 256 codes, or `None` if they are not a valid curve.

@@ -190,8 +190,8 @@ impl SavedResponse {
     /// Reads the curve in the file `path`, by its extension.
     ///
     /// # Errors
-    /// [`Error::UnknownExtension`], [`Error::Read`], and [`Error::ResponseFile`] if the content is not a valid curve
-    /// in that format.
+    /// [`Error::UnknownExtension`], [`Error::Read`], [`Error::Changed`], and [`Error::ResponseFile`] if the content is
+    /// not a valid curve in that format.
     pub fn read(path: &Path) -> Result<Self> {
         let format = Format::of(path)?;
         let bytes = intake::whole(path, intake::MOST_OF_A_TEXT)?;
@@ -228,8 +228,10 @@ impl SavedResponse {
             <[f64; CODES]>::try_from(values).map_err(wanted)
         };
         let g = [channel("red", red)?, channel("green", green)?, channel("blue", blue)?];
-        let curve = ResponseCurve::new(g)
-            .ok_or_else(|| wrong("its values do not increase from one pixel value to the next".to_owned()))?;
+        let curve = ResponseCurve::new(g).ok_or_else(|| {
+            let reason = "its values do not increase from one pixel value to the next, or are not between -80 and 80";
+            wrong(reason.to_owned())
+        })?;
         let black = |_: ()| wrong("a black_code is not in 0..128".to_owned());
         Ok(SavedResponse {
             make: document.camera_make,

@@ -59,7 +59,7 @@ pub(crate) fn read(text: &str) -> Result<ResponseCurve, String> {
     // All three channels are divided by one common factor, so that the ratios between hdrgen's channels are kept.
     let ln_mid = channels.iter().map(|x| libm::log(x[MID])).sum::<f64>() / 3.0;
     ResponseCurve::new(channels.map(|x| x.map(|v| libm::log(v) - ln_mid)))
-        .ok_or_else(|| "its exposures are too large or too small for a 32-bit float".to_owned())
+        .ok_or_else(|| "its exposures are too large, too small or too similar".to_owned())
 }
 
 /// Replaces the exposures of the darkest codes, where hdrgen's polynomials may fall or be negative, by a straight line
@@ -68,10 +68,10 @@ fn rising(channels: &mut [[f64; CODES]; 3]) -> Result<(), String> {
     for (x, name) in channels.iter_mut().zip(["red", "green", "blue"]) {
         let sound = |z: usize| x[z] > 0.0 && x[z + 1] > x[z];
         let first = (0..CODES - 1).rev().take_while(|&z| sound(z)).last();
-        // hdrgen does not use the dark end. Only a fault in the codes from 64 on makes the curve invalid.
-        let first = first.filter(|&z| z < MID / 2);
-        let first = first
-            .ok_or_else(|| format!("the polynomial of {name} does not increase from pixel value {} to 255", MID / 2))?;
+        // hdrgen does not use the dark end. Only a fault in the codes from 63 on makes the curve invalid.
+        let first = first.filter(|&z| z < MID / 2).ok_or_else(|| {
+            format!("the polynomial of {name} is not positive and increasing from pixel value {} to 255", MID / 2 - 1)
+        })?;
         let (value, place) = (x[first], first as f64 + 0.5);
         (0..first).for_each(|z| x[z] = value * (z as f64 + 0.5) / place);
     }
@@ -249,7 +249,10 @@ mod tests {
         assert!(read("6 1 1 1 1 1 1 1\n").unwrap_err().contains("degree"));
         assert!(read("1 1 x\n").unwrap_err().contains("\"x\""));
         assert!(read("1 1 0\n1 1 0\n1 1 0\n5").unwrap_err().contains("follows"));
-        assert!(read("1 -1 1\n1 1 0\n1 1 0\n").unwrap_err().contains("does not increase"));
+        for wrong in ["1 -1 1", "1 1 -5"] {
+            let reason = read(&format!("{wrong}\n1 1 0\n1 1 0\n")).unwrap_err();
+            assert!(reason.contains("red is not positive and increasing from pixel value 63"), "{reason}");
+        }
         assert!(read("1 inf 0\n").unwrap_err().contains("not a number"));
     }
 

@@ -103,7 +103,8 @@ pub fn enough(samples: usize) -> Result<()> {
 pub fn check(samples: &[Sample]) -> Fitted<()> {
     if samples.len() < FEWEST {
         return Err(format!(
-            "only {} places in smooth areas are unclipped in at least two frames; at least {FEWEST} are needed",
+            "only {} places can be used; at least {FEWEST} are needed, in smooth areas that are neither clipped nor \
+             black in at least two frames",
             samples.len()
         ));
     }
@@ -116,7 +117,7 @@ pub fn check(samples: &[Sample]) -> Fitted<()> {
     }
     if codes.1 - codes.0 < SPAN {
         return Err(format!(
-            "smooth areas that are not clipped have only pixel values from {:.0} to {:.0}; \
+            "the places used, in smooth areas, have only pixel values from {:.0} to {:.0}; \
              a range of at least {SPAN} is needed",
             codes.0, codes.1
         ));

@@ -123,7 +123,7 @@ impl Spot {
         let half = self.seen.len() / 2;
         let count = |is: &dyn Fn(&[f32; 3]) -> bool| self.seen.iter().filter(|pixel| is(pixel)).count();
         if count(&|pixel| !pixel.iter().all(|&v| v > black && v.is_finite())) > half {
-            return Err(refused("is black, and has no colour"));
+            return Err(refused("is black in at least one channel, so its colour is not known"));
         }
         // A spot that is clipped in all photographs has the largest radiance of the picture.
         let ends: [f32; 3] = std::array::from_fn(|c| {

@@ -35,8 +35,8 @@ use photograph::Photograph;
 /// Settings of the operator.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Options {
-    /// Mean code value of the picture, 0 to 1; it is lower if the longest photograph is dark. `None`: the mean code
-    /// value of the fused photographs, or 0.48 if the photographs are not known.
+    /// Target for the mean code value of the picture, 0 to 1; it is lower if the longest photograph is dark, and not
+    /// always reached. `None`: the mean code value of the fused photographs, or 0.48 if the photographs are not known.
     pub brightness: Option<f64>,
     /// Strength of the contrast curve: 0 adds no contrast, 1 raises the contrast of the middle tones by half.
     pub contrast: f64,
@@ -60,7 +60,7 @@ impl Options {
                 "brightness",
                 (0.1, 0.9),
                 &mut self.brightness,
-                "mean pixel value of the picture, 0 to 1",
+                "target for the mean pixel value, 0 to 1; it is not always reached",
             ),
             Setting::number(
                 "contrast",

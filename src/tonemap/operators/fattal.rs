@@ -16,8 +16,8 @@ use crate::tonemap::tones::Tones;
 /// Settings of the operator.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Options {
-    /// The gradient that stays unchanged, as a multiple of the mean gradient of its scale; steeper gradients are
-    /// attenuated. The paper uses 0.1, which attenuates most of the picture.
+    /// Gradients above this multiple of the mean gradient of their scale are attenuated according to `beta`. The paper
+    /// uses 0.1, which attenuates most of the picture.
     pub alpha: f64,
     /// Exponent of (gradient / alpha) at every scale; 1 changes nothing. The paper uses 0.8 to 0.9.
     pub beta: f64,
@@ -26,7 +26,7 @@ pub struct Options {
     pub noise: f64,
     /// Stops from black to white on the display.
     pub range_stops: f64,
-    /// The mean of the picture's code values, 0 to 1.
+    /// Target for the mean code value of the picture, 0 to 1; it is not always reached.
     pub brightness: f64,
     /// Factor on the saturation that Mantiuk's colour correction gives (see `tones`): 1 looks as colourful as the
     /// scene, 0 is grey.
@@ -47,13 +47,13 @@ impl Options {
                 "alpha",
                 (0.01, 3.0),
                 &mut self.alpha,
-                "gradients (edges) this strong are kept, stronger ones are weakened; 1 is the mean",
+                "gradients (edges) stronger than this are weakened according to beta; 1 is the mean gradient",
             ),
             Setting::number(
                 "beta",
                 (0.6, 1.0),
                 &mut self.beta,
-                "exponent applied to gradients / alpha: smaller values weaken strong gradients more, and strengthen weak ones more",
+                "exponent applied to gradients / alpha: smaller values weaken strong gradients more",
             ),
             Setting::number(
                 "noise",

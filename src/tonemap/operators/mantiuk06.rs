@@ -23,7 +23,7 @@ pub struct Options {
     pub equalise: f64,
     /// Stops from black to white on the display.
     pub range_stops: f64,
-    /// The mean of the picture's code values, 0 to 1.
+    /// Target for the mean code value of the picture, 0 to 1; it is not always reached.
     pub brightness: f64,
     /// Factor on the saturation that Mantiuk's colour correction gives (see `tones`): 1 looks as colourful as the
     /// scene, 0 is grey.

@@ -103,8 +103,12 @@ impl RowWriter<[f32; 3]> for Writer {
     fn finish(self: Box<Self>) -> Result<Written> {
         self.bands.complete().map_err(|e| self.strips.file.error(e))?;
         let (low, high) = self.depth.range();
+        let larger = match self.depth {
+            Depth::Bits24 => "logluv32 and float have",
+            Depth::Bits32 => "float has",
+        };
         let what = format!(
-            "of luminance are outside of {:.2e} to {:.3e} and were limited to 0 or the largest value; logluv32 and float have a larger range",
+            "of luminance are outside of {:.2e} to {:.3e} and were limited to 0 or the largest value; {larger} a larger range",
             low / self.scale,
             high / self.scale
         );

@@ -65,7 +65,7 @@ impl<T: Sample> Writer<T> {
                 // The tags do not support negative chromaticities, such as those of ACES2065-1; a profile does.
                 let profile =
                     Profile::of(&metadata.primaries, Curve::Power(1.0), "linear RGB of the file's own primaries");
-                let unknown = || io::Error::other("its primaries lie on a line, so they define no colour space");
+                let unknown = || io::Error::other("its primaries define no colour space");
                 directory.opaque(tag::ICC, &profile.ok_or_else(unknown).map_err(|e| strips.file.error(e))?.icc);
             }
             if let Some(luminance) = metadata.white_luminance() {

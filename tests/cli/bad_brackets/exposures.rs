@@ -45,7 +45,7 @@ fn exif_that_is_missing_or_impossible_in_one_frame_is_estimated() {
         let names = window(&folder, [2, 3, 4]);
         folder.put("f3.jpg", &odd);
         let merged = merged(&folder, &names);
-        assert!(merged.warns(true, &["f3.jpg has no exposure in its EXIF"]), "{:?}", merged.warnings());
+        assert!(merged.warns(true, &["f3.jpg has no usable exposure in its EXIF"]), "{:?}", merged.warnings());
         assert_eq!(sources(&merged, &["f1.jpg", "f2.jpg", "f3.jpg"]), ["exif", "exif", "estimated"]);
         assert!((stops(&merged, "f2.jpg", "f3.jpg") - 2.0).abs() < 0.4, "{}", stops(&merged, "f2.jpg", "f3.jpg"));
     }

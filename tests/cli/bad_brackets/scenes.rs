@@ -103,7 +103,7 @@ fn the_scene_of_most_frames_is_merged() {
 fn the_users_reference_is_not_exchanged() {
     let folder = Folder::empty();
     let names = exposed(&folder, &[(&frame(2), 2), (&frame(3), 3), (&elsewhere(4), 4)]);
-    refused(&folder, &format!("{names} --reference f3.jpg"), &["f3.jpg: no other frame could be aligned to it"]);
+    refused(&folder, &format!("{names} --reference f3.jpg"), &["f3.jpg: no other frame was aligned to it"]);
 }
 
 /// The middle of the picture is different in each frame: the rest of the picture determines the motion.

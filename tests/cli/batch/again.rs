@@ -120,7 +120,7 @@ fn summary_of_somebody_else_is_kept_and_the_batch_fails() {
             assert!(run.code == 1 && run.stdout.is_empty(), "{run:?}");
             let said = refused(run);
             assert!(
-                said.contains(&format!("{name}: cannot be written")) && said.contains("did not write it"),
+                said.contains(&format!("{name}: cannot be written")) && said.contains("may not have written it"),
                 "{said}"
             );
             assert!(!said.contains("the free disk space"), "{said}");

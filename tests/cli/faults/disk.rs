@@ -139,7 +139,7 @@ fn a_batch_on_a_full_disk_stops_and_is_taken_up_again() {
     let first = String::from_utf8_lossy(&folder.bytes("first")).into_owned();
     let done: usize = reported[2].parse().expect("a number");
     assert!((reported[0], reported[1], reported[3]) == ("3", "0", "0") && (1..8).contains(&done), "{run:?} {first}");
-    assert_eq!(first.matches("the disk is full, so no further bracket is started").count(), 1, "{first}");
+    assert_eq!(first.matches("the quota is used up, so no further bracket is started").count(), 1, "{first}");
     // No bracket is started after the first failure, but brackets that were computed before it may fail too.
     assert!((1..=3).contains(&first.matches("failed: ").count()), "{first}");
     let summary: Value = serde_json::from_slice(&folder.bytes("second")).expect("JSON");

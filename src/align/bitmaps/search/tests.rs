@@ -125,8 +125,8 @@ fn motion_outside_the_model_is_part_of_the_error() {
 
 #[test]
 fn a_smooth_slope_does_not_pull() {
-    // The scene becomes brighter towards the top, as in fog, and has little other contrast. The upper third of the
-    // frame is clipped.
+    // The scene becomes brighter towards the top, as in fog, and has little other contrast. Some parts near the upper
+    // edge of the frame are clipped.
     let scene = Scene::new(9);
     let fog = |x: f64, y: f64| 1.6 * (-y / 120.0).exp() * scene.radiance(x, y).powf(0.3);
     let truth = shift(5.3, -11.6);

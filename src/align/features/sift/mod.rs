@@ -17,7 +17,7 @@ pub(super) use descriptor::LENGTH;
 use rayon::prelude::*;
 use scale_space::ScaleSpace;
 
-/// Settings of the detector; the defaults are the paper's.
+/// Settings of the detector. The defaults are those of the paper, where it states values.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SiftOptions {
     /// Number of scale intervals per octave, called s in section 3.3.

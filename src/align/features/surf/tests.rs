@@ -15,8 +15,8 @@ fn blob_is_found_at_its_position_and_scale() {
                 assert!((f64::from(best.x) - x).abs() < 0.3 && (f64::from(best.y) - y).abs() < 0.3, "{best:?}");
                 // For a blob with standard deviation b, the middle lobe of the best box filter reaches from one
                 // inflection point to the other, so it is 2 b long. The side of the filter is three lobes, 6 b, and its
-                // scale is 1.2 / 9 of the side, 0.8 b. The sides of neighbouring filters differ by a factor of up to
-                // 1.7. A parabola through their responses finds the scale with an error of at most a seventh.
+                // scale is 1.2 / 9 of the side, 0.8 b. The sides of neighbouring filters differ by a factor of less
+                // than 2. A parabola through their responses finds the scale with an error of at most a seventh.
                 assert!((f64::from(best.scale) / (0.8 * sigma) - 1.0).abs() < 1.0 / 7.0, "{best:?} for {sigma}");
                 assert_eq!(best.bright, bright);
             }

@@ -34,7 +34,7 @@ impl Layout {
     pub fn of(bytes: &[u8]) -> Result<Self, Reason> {
         let truncated = || {
             let kb = bytes.len().div_ceil(1000);
-            format!("it ends in the middle of the picture, after {kb} kB (truncated); copy the file again")
+            format!("it ends before the end of the picture, after {kb} kB (truncated); copy the file again")
         };
         let mut layout = Layout::default();
         let mut at = 2;

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 /// The version of the format of `--dry-run --json`: keys may be added, but are never removed.
 const SCHEMA: &str = "hdralign-found/1";
-/// Largest number of unused photographs that are listed for each reason; `--json` lists all.
+/// Largest number of unused files and folders that are listed for each reason; `--json` lists all.
 const LISTED: usize = 20;
 /// If a bracket has at most this number of frames, the exposure of each frame is listed; otherwise only their range.
 const EXPOSURES: usize = 9;
@@ -26,7 +26,7 @@ pub fn unused(found: &Found) -> Vec<Unused> {
     found.left_over.iter().map(unused).collect()
 }
 
-/// Returns a line with the numbers of brackets, photographs, jobs and other files.
+/// Returns a line with the numbers of brackets, photographs, jobs, entries in no bracket, and other files.
 pub fn counted(found: &Found, jobs: usize) -> String {
     let brackets = found.brackets.len();
     let photographs: usize = found.brackets.iter().map(|b| b.photographs.len()).sum();
@@ -35,7 +35,8 @@ pub fn counted(found: &Found, jobs: usize) -> String {
         words.push(many(jobs, "job"));
     }
     if !found.left_over.is_empty() {
-        words.push(format!("{} in no bracket", many(found.left_over.len(), "photograph")));
+        let all: Vec<&LeftOver> = found.left_over.iter().collect();
+        words.push(format!("{} in no bracket", entries(&all)));
     }
     if found.other_files > 0 {
         words.push(format!("{} of other kinds", many(found.other_files, "file")));
@@ -48,17 +49,29 @@ pub fn many(n: usize, what: &str) -> String {
     if n == 1 { format!("1 {what}") } else { format!("{n} {what}s") }
 }
 
+/// Returns the number of entries in `all` as text. An entry that cannot be read may be a folder, and a result is not a
+/// photograph.
+pub fn entries(all: &[&LeftOver]) -> String {
+    let has = |is: fn(&Reason) -> bool| all.iter().any(|entry| is(&entry.reason));
+    let n = all.len();
+    if has(|reason| matches!(reason, Reason::Unreadable(_))) {
+        if n == 1 { "1 file or folder".to_owned() } else { format!("{n} files or folders") }
+    } else if has(|reason| matches!(reason, Reason::Result(_))) {
+        many(n, "file")
+    } else {
+        many(n, "photograph")
+    }
+}
+
 /// Returns the error for a search that found no bracket. It contains an example of the most frequent kind of
 /// reason.
 pub fn nothing(folders: &[PathBuf], found: &Found) -> Error {
+    let all: Vec<&LeftOver> = found.left_over.iter().collect();
     let most = by_kind(found).into_iter().max_by_key(Vec::len);
     let why = match most {
-        Some(shots) => format!(
-            "{} in no bracket, for example {}: {}",
-            many(left_over(found), "photograph"),
-            shots[0].path.display(),
-            shots[0].reason
-        ),
+        Some(shots) => {
+            format!("{} in no bracket, for example {}: {}", entries(&all), shots[0].path.display(), shots[0].reason)
+        }
         None => "there are no photographs (JPEG, PNG, TIFF)".to_owned(),
     };
     Error::NoBracket { path: folders.first().cloned().unwrap_or_default(), reason: why }
@@ -97,7 +110,7 @@ pub fn table(found: &Found, jobs: &[Job]) -> String {
         let reasons: BTreeSet<String> = shots.iter().map(|shot| shot.reason.to_string()).collect();
         let common = reasons.first().filter(|_| reasons.len() == 1);
         let heading = common.map(|reason| format!(": {reason}")).unwrap_or_default();
-        text += &format!("in no bracket, {}{heading}\n", many(shots.len(), "photograph"));
+        text += &format!("in no bracket, {}{heading}\n", entries(&shots));
         for shot in shots.iter().take(LISTED) {
             let own = if common.is_some() { String::new() } else { format!(": {}", shot.reason) };
             text += &format!("  {}{own}\n", one_line(&shot.path.display().to_string()));
@@ -122,10 +135,9 @@ fn one_line(name: &str) -> String {
     name.chars().map(plain).collect()
 }
 
-/// Returns the number of photographs in no bracket, plus the number of folders that cannot be read. Results that
-/// hdralign wrote are not counted.
-pub fn left_over(found: &Found) -> usize {
-    found.left_over.iter().filter(|left_over| !matches!(left_over.reason, Reason::Result(_))).count()
+/// Returns the photographs in no bracket and the folders that cannot be read, without results that hdralign wrote.
+pub fn left_over(found: &Found) -> Vec<&LeftOver> {
+    found.left_over.iter().filter(|left_over| !matches!(left_over.reason, Reason::Result(_))).collect()
 }
 
 /// Returns the photographs and folders that cannot be read.

@@ -1,6 +1,6 @@
 //! Runs a batch on this machine: shows the progress, handles interruption, and prints the summary at the end.
 
-use super::found::{left_over, many, unreadable, unused};
+use super::found::{entries, left_over, many, unreadable, unused};
 use super::{Args, exit_code};
 use crate::cli::arguments::input::Work;
 use crate::cli::process::interrupt;
@@ -145,7 +145,7 @@ impl Board {
 fn full(job: &Job) -> String {
     let folder = job.report.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     format!(
-        "hdralign: {}: the disk is full, so no further bracket is started for this disk; delete some files and run the command again (finished brackets are kept)",
+        "hdralign: {}: the disk is full or the quota is used up, so no further bracket is started for this disk; delete some files and run the command again (finished brackets are kept)",
         folder.display()
     )
 }
@@ -182,7 +182,7 @@ pub fn run(jobs: &[Job], found: &Found, options: Options, args: &Args) -> Result
     let endings = schedule::run(jobs, &options, &limits, args.work.force, stop, &|event| board.see(&event));
     board.bar.finish_and_clear();
     let summary = Summary::new(jobs, &endings, unused(found), board.began.elapsed().as_secs_f64());
-    let left_over = Some(LeftOver { count: left_over(found), unreadable: unreadable(found) });
+    let left_over = Some(LeftOver { entries: left_over(found), unreadable: unreadable(found) });
     finish(&summary, &jobs[0].summary, left_over.as_ref(), args)
 }
 
@@ -196,10 +196,10 @@ pub fn open_home(path: &Path, args: &Args) -> Result<PathBuf, Error> {
     Ok(home)
 }
 
-/// The photographs in no bracket and the folders that cannot be read: their number without results of hdralign, and
-/// those that cannot be read.
+/// The photographs in no bracket and the folders that cannot be read: all without results of hdralign, and those that
+/// cannot be read.
 pub struct LeftOver<'a> {
-    count: usize,
+    entries: Vec<&'a find::LeftOver>,
     unreadable: Vec<&'a find::LeftOver>,
 }
 
@@ -278,8 +278,8 @@ fn lines(summary: &Summary, files: Option<&[PathBuf; 2]>, left_over: Option<&Lef
     if let Some(left_over) = left_over {
         let why = |l: &&find::LeftOver| format!("{}: {}", l.path.display(), l.reason);
         lines.extend(listed("unreadable", left_over.unreadable.iter().map(why)));
-        if left_over.count > 0 {
-            let count = many(left_over.count, "photograph");
+        if !left_over.entries.is_empty() {
+            let count = entries(&left_over.entries);
             lines.push(format!("{:<11}{count}; batch.json and --dry-run list the reasons", "no bracket"));
         }
     }
