@@ -26,6 +26,8 @@ pub(crate) struct Candidate {
     pub(crate) error_px: f64,
     /// The part of `error_px` from the displacements of the tiles.
     pub(crate) tile_error_px: f64,
+    /// The part of `error_px` from the noise of the pixels.
+    pub(crate) noise_px: f64,
     /// Whether the transform was fitted to the displacements of the tiles; otherwise it was fitted to the pixels.
     pub(crate) by_tiles: bool,
     /// Confidence of the picture that the frame was aligned to (1 for the reference), times the uniqueness of the
@@ -83,19 +85,25 @@ pub(super) fn evaluate_with_fit(pair: &FramePair, transform: Transform, noise_px
     let tiles = check_tiles(both, &h);
     let fit = agreement::fit(&tiles, &h, (both.reference.width(), both.reference.height()));
     let tolerance_px = tolerance_px((width, height));
-    // The tiles' displacement has two causes: the error of measuring the tiles, and the error of the transform. The
-    // square of the second is the square of the displacement, minus the square of the first.
-    let tile_error = match &fit {
-        Some(fit) => (fit.moved * fit.moved - fit.error * fit.error).max(0.0).sqrt(),
-        None => (tiles.agreement.offset - TILE_NOISE_PX).max(0.0),
+    let scale = level_to_full(level)[(0, 0)];
+    let env = |n: &str, d: f64| std::env::var(n).ok().and_then(|v| v.parse().ok()).unwrap_or(d);
+    let tile_error_px = match &fit {
+        Some(fit) => {
+            let (moved, error) = (scale * fit.moved, scale * fit.error);
+            let excess = (moved * moved - error * error - noise_px * noise_px).max(0.0);
+            let significance = moved * moved / (error * error + noise_px * noise_px);
+            (excess * (1.0 - env("CRIT", 2.0) / significance).max(0.0)).sqrt()
+        }
+        None => scale * (tiles.agreement.offset - TILE_NOISE_PX).max(0.0),
     };
-    let tile_error_px = level_to_full(level)[(0, 0)] * tile_error;
     let error_px = (noise_px * noise_px + tile_error_px * tile_error_px).sqrt();
+    if std::env::var("DBG").is_ok() { eprintln!("EVAL noise {noise_px:.4} tile {tile_error_px:.4} fit {:?} offset {:.3} agree {}", fit.as_ref().map(|f| (scale * f.moved, scale * f.error)), tiles.agreement.offset, tiles.agreement.agreeing); }
     let candidate = Candidate {
         transform,
         tiles: Arc::new(tiles),
         error_px,
         tile_error_px,
+        noise_px,
         reliability: 1.0,
         tolerance_px,
         corroborated: false,

@@ -72,6 +72,7 @@ pub(crate) fn by_start(pair: &FramePair, start: &Transform, capture: usize) -> O
         is_sane(&found.transform, pair.size()).then_some(found)
     })?;
     let (candidate, fit) = evaluate_with_fit(pair, found.transform, found.error_px);
+    let candidate = Candidate { noise_px: found.error_px, ..candidate };
     Some(by_tiles(pair, &candidate, fit).unwrap_or(candidate))
 }
 
@@ -81,7 +82,7 @@ fn by_tiles(pair: &FramePair, from: &Candidate, mut fit: Option<TileFit>) -> Opt
     let level = measured_level(pair.reference());
     let mut best = None;
     for _ in 0..TILE_STEPS {
-        let Some(tiles) = fit.filter(|f| f.significance > LEAST_SIGNIFICANCE && f.moved > LEAST_TILE_MOVE) else {
+        let Some(tiles) = fit.filter(|f| std::env::var("NOTILES").is_err() && f.moved > std::env::var("SIG").ok().and_then(|v| v.parse().ok()).unwrap_or(LEAST_SIGNIFICANCE) * f.error.hypot(if std::env::var("SIGP").is_ok() { from.noise_px / level_to_full(level)[(0, 0)] } else { 0.0 }) && f.moved > LEAST_TILE_MOVE) else {
             break;
         };
         let transform = Transform::Homography(off_level(&tiles.h, level));
