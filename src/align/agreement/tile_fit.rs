@@ -8,6 +8,7 @@
 //! direction. [`refinement`](crate::align::refinement) mistakes this change for motion. The fit to the tiles is not
 //! affected, because correlation does not depend on a tile's own gain and offset.
 
+use crate::align::agreement::pattern::PEAK_BIAS;
 use crate::align::agreement::{TileCheck, TileDisplacement};
 use crate::align::transform::{Block, Increment, Model, blocks, covariance};
 use crate::statistics::{MEDIAN_SQUARE, TUKEY, biweight, median};
@@ -29,7 +30,8 @@ pub(crate) struct TileFit {
     /// The distance of the fitted transform from the checked one: root mean square over the picture, in pixels of the
     /// planes.
     pub(crate) moved: f64,
-    /// The error estimate of the fitted transform, in the same unit.
+    /// The error estimate of the fitted transform, in the same unit: from the scatter of the displacements, and from
+    /// [`PEAK_BIAS`].
     pub(crate) error: f64,
 }
 
@@ -68,8 +70,15 @@ pub(crate) fn fit(check_tiles: &TileCheck, h: &Matrix3<f64>, size: (usize, usize
         let parts: Vec<Block> = blocks.iter().map(equations).collect();
         if round == ROUNDS {
             // The scores of the residuals after the step.
-            let scores: Vec<Block> = parts.into_iter().map(|(a, b)| { let score = &a * &step + b; (a, score) }).collect();
-            let error = basis.expected_error(&covariance(&scores, &prior, CORRELATION_FACTOR)?);
+            let scores: Vec<Block> = parts
+                .into_iter()
+                .map(|(a, b)| {
+                    let score = &a * &step + b;
+                    (a, score)
+                })
+                .collect();
+            let scatter = basis.expected_error(&covariance(&scores, &prior, CORRELATION_FACTOR)?);
+            let error = (scatter * scatter + PEAK_BIAS * PEAK_BIAS).sqrt();
             let moved = h * basis.matrix(&step);
             return Some(TileFit { h: moved / moved[(2, 2)], moved: basis.mean_move(&step), error });
         }

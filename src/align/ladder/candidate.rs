@@ -26,8 +26,6 @@ pub(crate) struct Candidate {
     pub(crate) error_px: f64,
     /// The part of `error_px` from the displacements of the tiles.
     pub(crate) tile_error_px: f64,
-    /// The part of `error_px` from the noise of the pixels.
-    pub(crate) noise_px: f64,
     /// Whether the transform was fitted to the displacements of the tiles; otherwise it was fitted to the pixels.
     pub(crate) by_tiles: bool,
     /// Confidence of the picture that the frame was aligned to (1 for the reference), times the uniqueness of the
@@ -86,30 +84,28 @@ pub(super) fn evaluate_with_fit(pair: &FramePair, transform: Transform, noise_px
     let fit = agreement::fit(&tiles, &h, (both.reference.width(), both.reference.height()));
     let tolerance_px = tolerance_px((width, height));
     let scale = level_to_full(level)[(0, 0)];
-    let env = |n: &str, d: f64| std::env::var(n).ok().and_then(|v| v.parse().ok()).unwrap_or(d);
     let tile_error_px = match &fit {
-        Some(fit) => {
-            let (moved, error) = (scale * fit.moved, scale * fit.error);
-            let excess = (moved * moved - error * error - noise_px * noise_px).max(0.0);
-            let significance = moved * moved / (error * error + noise_px * noise_px);
-            (excess * (1.0 - env("CRIT", 2.0) / significance).max(0.0)).sqrt()
-        }
+        Some(fit) => excess(scale * fit.moved, (noise_px * noise_px + scale * scale * fit.error * fit.error).sqrt()),
         None => scale * (tiles.agreement.offset - TILE_NOISE_PX).max(0.0),
     };
     let error_px = (noise_px * noise_px + tile_error_px * tile_error_px).sqrt();
-    if std::env::var("DBG").is_ok() { eprintln!("EVAL noise {noise_px:.4} tile {tile_error_px:.4} fit {:?} offset {:.3} agree {}", fit.as_ref().map(|f| (scale * f.moved, scale * f.error)), tiles.agreement.offset, tiles.agreement.agreeing); }
     let candidate = Candidate {
         transform,
         tiles: Arc::new(tiles),
         error_px,
         tile_error_px,
-        noise_px,
         reliability: 1.0,
         tolerance_px,
         corroborated: false,
         by_tiles: false,
     };
     (candidate, fit)
+}
+
+/// Returns the part of a displacement d that its expected error e does not explain, in the same unit: d (1 - (e / d)^2),
+/// and 0 if d is less than e (the estimate of James & Stein, 1961, with the factor limited to 0).
+fn excess(displacement: f64, error: f64) -> f64 {
+    if displacement > error { (displacement * displacement - error * error) / displacement } else { 0.0 }
 }
 
 /// Returns [`Candidate::tolerance_px`] for a picture of this size.

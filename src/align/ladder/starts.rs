@@ -48,7 +48,7 @@ pub(crate) fn by_alternatives(pair: &FramePair, angle: f64, options: &MtbOptions
             .filter_map(|m| {
                 let start = Transform::Rigid { dx: m.dx, dy: m.dy, angle: m.angle };
                 let found = refine(pair, &start, Model::Rigid, (measured + CAPTURE_LEVELS, measured))?;
-                Some(evaluate(pair, found.transform, 0.0))
+                Some(evaluate(pair, found.transform, found.error_px))
             })
             .collect();
     rough.sort_by(|a, b| b.evidence().total_cmp(&a.evidence()));
@@ -72,7 +72,6 @@ pub(crate) fn by_start(pair: &FramePair, start: &Transform, capture: usize) -> O
         is_sane(&found.transform, pair.size()).then_some(found)
     })?;
     let (candidate, fit) = evaluate_with_fit(pair, found.transform, found.error_px);
-    let candidate = Candidate { noise_px: found.error_px, ..candidate };
     Some(by_tiles(pair, &candidate, fit).unwrap_or(candidate))
 }
 
@@ -82,7 +81,7 @@ fn by_tiles(pair: &FramePair, from: &Candidate, mut fit: Option<TileFit>) -> Opt
     let level = measured_level(pair.reference());
     let mut best = None;
     for _ in 0..TILE_STEPS {
-        let Some(tiles) = fit.filter(|f| std::env::var("NOTILES").is_err() && f.moved > std::env::var("SIG").ok().and_then(|v| v.parse().ok()).unwrap_or(LEAST_SIGNIFICANCE) * f.error.hypot(if std::env::var("SIGP").is_ok() { from.noise_px / level_to_full(level)[(0, 0)] } else { 0.0 }) && f.moved > LEAST_TILE_MOVE) else {
+        let Some(tiles) = fit.filter(|f| f.moved > LEAST_SIGNIFICANCE * f.error) else {
             break;
         };
         let transform = Transform::Homography(off_level(&tiles.h, level));
@@ -104,11 +103,8 @@ fn by_tiles(pair: &FramePair, from: &Candidate, mut fit: Option<TileFit>) -> Opt
 
 /// Largest number of successive corrections by tiles.
 const TILE_STEPS: usize = 5;
-/// A correction is made only if the displacement of the tiles exceeds this multiple of its error
-/// ([`TileFit::significance`]).
+/// A correction is made only if the displacement of the tiles exceeds this multiple of its error.
 const LEAST_SIGNIFICANCE: f64 = 2.0;
-/// A correction is made only if the displacement of the tiles exceeds this, in pixels of their level.
-const LEAST_TILE_MOVE: f64 = 0.05;
 
 /// Whether a hand-held camera can cause this transform: every corner moves by less than a third of the diagonal, and
 /// every side keeps between half and twice its length.
