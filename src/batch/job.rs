@@ -121,7 +121,9 @@ pub fn begin<'a>(job: &'a Job, options: &Options, force: bool, watch: Watch) -> 
     fs::create_dir_all(folder).map_err(|source| Error::Write { path: folder.to_owned(), source })?;
     // The names are checked here and not by `pipeline::prepare`, whose message would name the option -o, which
     // `batch` does not have.
-    write::check_targets(&Target::of("--name", &results), &job.inputs, true)?;
+    let written: Vec<PathBuf> = results.iter().chain([&job.report]).cloned().collect();
+    let read: Vec<PathBuf> = job.inputs.iter().chain(&job.response).cloned().collect();
+    write::check_targets(&Target::of("--name", &written), &read, true)?;
     let older = existing.iter().filter(|path| **path != job.report);
     let replaced = older.map(|path| Ok(Content::of(path)?.sha256)).collect::<Result<_>>()?;
     let prepared = match job.kind {

@@ -8,14 +8,16 @@
 //! direction. [`refinement`](crate::align::refinement) mistakes this change for motion. The fit to the tiles is not
 //! affected, because correlation does not depend on a tile's own gain and offset.
 
+use crate::align::agreement::pattern::PEAK_BIAS;
 use crate::align::agreement::{TileCheck, TileDisplacement};
-use crate::align::transform::{Increment, Model};
+use crate::align::transform::{Block, Increment, Model, blocks, covariance};
 use crate::statistics::{MEDIAN_SQUARE, TUKEY, biweight, median};
 use nalgebra::{DMatrix, DVector, Matrix3};
 
 /// With fewer tiles than this, nothing is fitted.
 const LEAST_TILES: usize = 8;
-/// Factor by which the standard error is increased, because the errors of neighbouring tiles are correlated.
+/// The actual error, divided by the error that would result if the errors of all tiles were independent. Used to weight
+/// the prior against the tiles.
 const CORRELATION_FACTOR: f64 = 1.5;
 /// Number of rounds of reweighting.
 const ROUNDS: usize = 5;
@@ -28,11 +30,9 @@ pub(crate) struct TileFit {
     /// The distance of the fitted transform from the checked one: root mean square over the picture, in pixels of the
     /// planes.
     pub(crate) moved: f64,
-    /// The error estimate of the fitted transform, in the same unit.
+    /// The error estimate of the fitted transform, in the same unit: from the scatter of the displacements, and from
+    /// [`PEAK_BIAS`].
     pub(crate) error: f64,
-    /// The root mean square change of the parameters, divided by its standard error. It is about 1 if the checked
-    /// transform is right, because then only noise changes the parameters.
-    pub(crate) significance: f64,
 }
 
 /// Fits a transform to the displacements of the tiles under `h`, for planes of `size`; none if there are too few tiles.
@@ -44,32 +44,48 @@ pub(crate) fn fit(check_tiles: &TileCheck, h: &Matrix3<f64>, size: (usize, usize
     let basis = Increment::new(Model::Homography, size.0, size.1);
     let n = basis.parameters();
     let places: Vec<[[f64; 2]; 8]> = tiles.iter().map(|t| basis.jacobian(t.centre[0], t.centre[1])).collect();
+    let blocks = blocks(tiles.iter().map(|t| t.centre), size);
+    let (mut prior, mut pull) = (DMatrix::zeros(n, n), DVector::zeros(n));
+    basis.add_prior(h, CORRELATION_FACTOR, &mut prior, &mut pull);
     let mut step = DVector::zeros(n);
-    let mut normal = DMatrix::identity(n, n);
-    for _ in 0..ROUNDS {
+    for round in 0.. {
         let misfits: Vec<f64> = tiles.iter().zip(&places).map(|(t, j)| misfit(t, j, &step)).collect();
         let variance = (median(misfits.iter().copied())? / MEDIAN_SQUARE).max(1e-12);
-        let (mut a, mut b) = (DMatrix::zeros(n, n), DVector::zeros(n));
-        for ((tile, j), misfit) in tiles.iter().zip(&places).zip(&misfits) {
-            let weight = biweight((misfit / variance).sqrt() / TUKEY) / variance;
-            for p in 0..n {
-                // Displacements are in the reference's pixels. If a tile matches farther right, the step moves the
-                // transform to the right, hence the minus sign: `solve` returns the solution of A step = -b.
-                b[p] -= weight * (j[p][0] * tile.pull[0] + j[p][1] * tile.pull[1]);
-                let pulled = times(tile, j[p]);
-                for q in 0..n {
-                    a[(p, q)] += weight * (j[q][0] * pulled[0] + j[q][1] * pulled[1]);
+        let equations = |block: &Vec<usize>| {
+            let (mut a, mut b) = (DMatrix::zeros(n, n), DVector::zeros(n));
+            for (tile, j, misfit) in block.iter().map(|&i| (&tiles[i], &places[i], misfits[i])) {
+                let weight = biweight((misfit / variance).sqrt() / TUKEY) / variance;
+                for p in 0..n {
+                    // Displacements are in the reference's pixels. If a tile matches farther right, the step moves the
+                    // transform to the right, hence the minus sign: `solve` returns the solution of A step = -b.
+                    b[p] -= weight * (j[p][0] * tile.pull[0] + j[p][1] * tile.pull[1]);
+                    let pulled = times(tile, j[p]);
+                    for q in 0..n {
+                        a[(p, q)] += weight * (j[q][0] * pulled[0] + j[q][1] * pulled[1]);
+                    }
                 }
             }
+            (a, b)
+        };
+        let parts: Vec<Block> = blocks.iter().map(equations).collect();
+        if round == ROUNDS {
+            // The scores of the residuals after the step.
+            let scores: Vec<Block> = parts
+                .into_iter()
+                .map(|(a, b)| {
+                    let score = &a * &step + b;
+                    (a, score)
+                })
+                .collect();
+            let scatter = basis.expected_error(&covariance(&scores, &prior, CORRELATION_FACTOR)?);
+            let error = (scatter * scatter + PEAK_BIAS * PEAK_BIAS).sqrt();
+            let moved = h * basis.matrix(&step);
+            return Some(TileFit { h: moved / moved[(2, 2)], moved: basis.mean_move(&step), error });
         }
-        basis.add_prior(h, CORRELATION_FACTOR, &mut a, &mut b);
-        step = basis.solve(a.clone(), b)?;
-        normal = a;
+        let (a, b) = parts.iter().fold((prior.clone(), pull.clone()), |(a, b), part| (a + &part.0, b + &part.1));
+        step = basis.solve(a, b)?;
     }
-    let moved = h * basis.matrix(&step);
-    let error = CORRELATION_FACTOR * basis.expected_error(&normal.clone().cholesky()?.inverse());
-    let significance = (step.dot(&(&normal * &step)) / n as f64).max(0.0).sqrt() / CORRELATION_FACTOR;
-    Some(TileFit { h: moved / moved[(2, 2)], moved: basis.mean_move(&step), error, significance })
+    None
 }
 
 /// Returns the sharpness matrix S of the tile times `v`.

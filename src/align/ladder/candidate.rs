@@ -83,13 +83,11 @@ pub(super) fn evaluate_with_fit(pair: &FramePair, transform: Transform, noise_px
     let tiles = check_tiles(both, &h);
     let fit = agreement::fit(&tiles, &h, (both.reference.width(), both.reference.height()));
     let tolerance_px = tolerance_px((width, height));
-    // The tiles' displacement has two causes: the error of measuring the tiles, and the error of the transform. The
-    // square of the second is the square of the displacement, minus the square of the first.
-    let tile_error = match &fit {
-        Some(fit) => (fit.moved * fit.moved - fit.error * fit.error).max(0.0).sqrt(),
-        None => (tiles.agreement.offset - TILE_NOISE_PX).max(0.0),
+    let scale = level_to_full(level)[(0, 0)];
+    let tile_error_px = match &fit {
+        Some(fit) => excess(scale * fit.moved, (noise_px * noise_px + scale * scale * fit.error * fit.error).sqrt()),
+        None => scale * (tiles.agreement.offset - TILE_NOISE_PX).max(0.0),
     };
-    let tile_error_px = level_to_full(level)[(0, 0)] * tile_error;
     let error_px = (noise_px * noise_px + tile_error_px * tile_error_px).sqrt();
     let candidate = Candidate {
         transform,
@@ -102,6 +100,12 @@ pub(super) fn evaluate_with_fit(pair: &FramePair, transform: Transform, noise_px
         by_tiles: false,
     };
     (candidate, fit)
+}
+
+/// Returns the part of a displacement d that its expected error e does not explain, in the same unit: d (1 - (e / d)^2),
+/// and 0 if d is less than e (the estimate of James & Stein, 1961, with the factor limited to 0).
+fn excess(displacement: f64, error: f64) -> f64 {
+    if displacement > error { (displacement * displacement - error * error) / displacement } else { 0.0 }
 }
 
 /// Returns [`Candidate::tolerance_px`] for a picture of this size.

@@ -64,10 +64,7 @@ pub(crate) fn reduce(pair: &FramePair, whole: Candidate) -> Candidate {
         };
         let apart = distance(&whole.transform, &smaller.transform, width, height);
         if apart <= SAME_PX.max(uncertainty_px) {
-            // The smaller model is accepted only because it is near the homography. Therefore its error estimate is set
-            // to at least half of the homography's.
-            let noise_px = smaller.error_px.max(0.5 * whole.error_px);
-            let candidate = checked(smaller.transform, noise_px, apart);
+            let candidate = checked(smaller.transform, smaller.error_px, apart);
             if candidate.agreement().share() >= whole.agreement().share() - 0.02
                 && candidate.agreement().offset <= whole.agreement().offset + 0.01
             {

@@ -68,7 +68,7 @@ impl Candidates {
         let contenders = self.alternatives(target, best, |_| true);
         let worst_lead = |c: &Candidate| {
             let others = contenders.iter().filter(|o| !alike(o, c));
-            others.map(|o| c.tiles.evidence_over(&o.tiles)).fold(f64::INFINITY, f64::min)
+            others.map(|o| c.tiles.distinction_from(&o.tiles)).fold(f64::INFINITY, f64::min)
         };
         if worst_lead(best) >= -DECISIVE_NATS {
             return Some((target, best));
@@ -91,7 +91,7 @@ impl Candidates {
     /// 1 if none of the `others` has comparable evidence. Otherwise it depends on the lead of `best` in the direct
     /// comparison with the closest of the `others`: 0 for no lead, 1/2 for a lead of [`DECISIVE_NATS`].
     pub(super) fn uniqueness(&self, (target, best): (usize, &Candidate), others: impl Fn(&Candidate) -> bool) -> f64 {
-        let leads = self.alternatives(target, best, others).into_iter().map(|c| best.tiles.evidence_over(&c.tiles));
+        let leads = self.alternatives(target, best, others).into_iter().map(|c| best.tiles.distinction_from(&c.tiles));
         let lead = leads.fold(f64::INFINITY, f64::min);
         if lead.is_infinite() { 1.0 } else { lead.max(0.0) / (lead.max(0.0) + DECISIVE_NATS) }
     }

@@ -9,6 +9,7 @@
 //! picture, because a neighbour that moves differently has no weight. The noise is estimated from the scatter of the
 //! matches about the field. Therefore a displacement in a dark or noisy frame must be larger to be significant.
 
+use crate::align::agreement::pattern::PEAK_BIAS;
 use crate::align::agreement::{MOST_STILL, TileDisplacement};
 use crate::align::grey::measured_level;
 use crate::align::local::cell::{Cell, precision};
@@ -22,10 +23,6 @@ use nalgebra::Matrix3;
 
 /// Number of rounds in which the weights of the matches are computed again.
 const ROUNDS: usize = 3;
-/// Root mean square of the displacements that are measured where nothing is displaced, in pixels of the level. Their
-/// cause is interpolation, and that the peak is approximated by a parabola. Measured on rendered brackets of planar
-/// scenes.
-const PEAK_BIAS: f64 = 0.03;
 /// The displacement of a cell is known only if at least this share of the patches around it have a match.
 const LEAST_KNOWN: f64 = 0.25;
 /// The displacement of a cell is significant only if at least this share of the matches around it agree with each

@@ -6,7 +6,6 @@
 //! and step. Source: Baker & Matthews, "Lucas-Kanade 20 Years On", IJCV 56(3), 2004, section 3.1 (compositional
 //! updates). In addition, the residuals are weighted by Tukey's biweight.
 
-mod covariance;
 mod fine_level;
 mod frame_pair;
 mod normal_equations;
@@ -15,11 +14,12 @@ mod patch;
 pub use frame_pair::FramePair;
 
 use crate::align::grey::{finest_level, measured_level};
-use crate::align::refinement::covariance::Scores;
 use crate::align::refinement::frame_pair::Point;
 use crate::align::refinement::patch::Patches;
 use crate::align::resampling::cubic::cubic;
-use crate::align::transform::{Increment, Model, Transform, map, off_level, on_level, restrict, to_transform};
+use crate::align::transform::{
+    Block, Increment, Model, Transform, blocks, covariance, map, off_level, on_level, restrict, to_transform,
+};
 use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};
 use crate::statistics::median;
@@ -35,7 +35,7 @@ const STILL: (f64, f64) = (0.005, 0.05);
 const LEAST_POINTS: usize = 50;
 /// The actual error, divided by the error that would result if the noise of all pixels were independent. In fact,
 /// smoothing, JPEG and aliasing correlate the noise of neighbouring pixels. Used to weight the prior against the
-/// pixels. Measured on rendered brackets. (The error estimate does not depend on this value: see `covariance`.)
+/// pixels. Measured on rendered brackets. (The error estimate depends on this value only through the prior: see [`covariance`].)
 const NOISE_FACTOR: f64 = 4.0;
 /// Number of points that a thread processes at a time.
 const PIECE: usize = 1024;
@@ -156,7 +156,7 @@ impl<'a> Stage<'a> {
             if !moved.is_finite() || moved > width as f64 {
                 return None;
             }
-            found = Some((data, a));
+            found = Some(a - data);
             if moved < still {
                 break;
             }
@@ -165,9 +165,16 @@ impl<'a> Stage<'a> {
         if !self.is_last {
             return Some((transform, None));
         }
-        let (data, whole) = found?;
-        let scores = Scores { points: self.points, rows: &rows, residuals: &left, weights: &weights, size: self.size };
-        let covariance = scores.covariance(&data, &whole, NOISE_FACTOR)?;
+        let prior = found?;
+        let block = |points: Vec<usize>| {
+            let rows: Vec<[f64; 8]> = points.iter().map(|&i| rows[i]).collect();
+            let left: Vec<f32> = points.iter().map(|&i| left[i]).collect();
+            let weights: Vec<f32> = points.iter().map(|&i| weights[i]).collect();
+            normal_equations::equations(basis.parameters(), &rows, &left, &weights)
+        };
+        let places = self.points.iter().map(|p| [p.x, p.y]);
+        let blocks: Vec<Block> = blocks(places, self.size).into_iter().map(block).collect();
+        let covariance = covariance(&blocks, &prior, NOISE_FACTOR)?;
         let error_px = (1u64 << self.level) as f64 * basis.expected_error(&covariance);
         Some((transform, Some(error_px)))
     }

@@ -4,9 +4,11 @@
 //! level; its shift, its rotation, and its distance to another transform. Cost: negligible. Source: Hartley &
 //! Zisserman, Multiple View Geometry (2nd ed., 2004), section 2.4 (a hierarchy of transformations).
 
+mod covariance;
 mod increment;
 mod model;
 
+pub(crate) use covariance::{Block, blocks, covariance};
 pub(crate) use increment::Increment;
 pub use model::Model;
 pub(crate) use model::{restrict, to_transform};

@@ -113,7 +113,7 @@ pub(super) fn head<R: Read + Seek>(reader: &mut BufReader<R>) -> Result<Found, R
         }
         let length = u32::from_be_bytes([head[0], head[1], head[2], head[3]]);
         let is_wanted = match &head[4..] {
-            b"IHDR" => length >= 13,
+            b"IHDR" => length == 13,
             b"eXIf" => length <= MOST_EXIF,
             // Raw profiles have two digits per byte of EXIF, plus line ends.
             b"tEXt" | b"zTXt" | b"iTXt" => length <= 3 * MOST_EXIF,

@@ -88,13 +88,22 @@ pub(super) fn settle(
             None => Warning::ExposureEstimated { detail },
         });
     }
+    // An excluded frame is merged only if the user presets its transform. If it has no exposure, this is estimated, too.
+    let evs: Vec<f64> = exposures.iter().map(|exposure| exposure.as_ref().map_or(f64::NAN, Exposure::ev)).collect();
+    for i in (0..pictures.len()).filter(|&i| evs[i].is_nan()) {
+        let all: Vec<usize> = order.iter().copied().chain([i]).collect();
+        let estimated = brightness::estimate(&seen(&all)).and_then(|estimate| {
+            let at = all.len() - 1;
+            let (from, anchor) = Places::new(&all, &estimate.evs, &evs, &order).anchor(at);
+            Exposure::estimated(estimate.evs[at] + anchor, estimate.deviation(at, from))
+        });
+        exposures[i] = estimated.or_else(|| order.first().and_then(|&first| exposures[first].clone()));
+    }
     for (i, detail) in assumed.into_iter().filter(|(i, _)| accepted.contains(i)) {
         let path = pictures[i].path.clone();
         pictures[i].warnings.push(Warning::ExposureIncomplete { path, detail });
     }
-    // An excluded frame without an exposure is not merged, so any value will do.
-    let any = exposures.iter().flatten().next().cloned();
-    Ok(exposures.into_iter().filter_map(|exposure| exposure.or_else(|| any.clone())).collect())
+    Ok(exposures.into_iter().flatten().collect())
 }
 
 /// Combines the exposures estimated from the pixels (`steps`), which have an arbitrary common offset, with exposures

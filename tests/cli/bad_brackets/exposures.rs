@@ -293,6 +293,18 @@ fn flash_frame_is_merged_where_the_user_insists_or_too_few_are_left() {
 }
 
 #[test]
+fn flash_frame_without_an_exposure_gets_an_estimate_that_does_not_depend_on_the_order() {
+    let folder = Folder::empty();
+    with_flash(&folder);
+    let fired = [(Tag::Flash, exif::Value::Short(vec![0x19]))];
+    folder.put("flash.jpg", &jpeg_with(&lit(frame(2)), &fired));
+    let merged_with = |names: &str| merged(&folder, &format!("{names} --unmoved flash.jpg"));
+    let (one, other) = (merged_with("f1.jpg f2.jpg f3.jpg flash.jpg"), merged_with("f3.jpg flash.jpg f1.jpg f2.jpg"));
+    assert_eq!(sources(&one, &["f1.jpg", "f2.jpg", "f3.jpg", "flash.jpg"]), ["exif", "exif", "exif", "estimated"]);
+    assert_eq!(one.radiance, other.radiance);
+}
+
+#[test]
 fn exif_one_frame_wrong_only_that_frame_is_estimated() {
     // For each of four frames: its exposure time is far too long, or far too short.
     let times = [(1, 512), (1, 128), (1, 32), (1, 8)];
