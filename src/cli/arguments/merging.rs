@@ -57,7 +57,7 @@ pub struct Merging {
     /// Scale the radiance to cd/m2, computed from the exposure of the reference frame (accurate to about half a stop)
     ///
     /// The largest possible pixel value (255, or 65535 with 16 bits) in the reference frame stands for 87 N^2 / (t ISO)
-    /// cd/m2 (N: f-number, t: exposure time in s)
+    /// cd/m2 (N: f-number, t: exposure time in s). With -e, 2^EV is used instead of t ISO / N^2
     #[arg(long, hide_short_help = true)]
     absolute: bool,
 
