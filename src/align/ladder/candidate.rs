@@ -21,11 +21,13 @@ pub(crate) struct Candidate {
     pub(crate) transform: Transform,
     /// The check of the transform by tiles.
     pub(crate) tiles: Arc<TileCheck>,
-    /// Error estimate, in pixels of the full size: the root of the sum of the squares of two parts, one from the noise
-    /// of the pixels and one from the displacements of the tiles.
-    pub(crate) error_px: f64,
-    /// The part of `error_px` from the displacements of the tiles.
-    pub(crate) tile_error_px: f64,
+    /// The part of the error that the noise of the pixels causes, and the error of the picture that the frame was aligned
+    /// to, in pixels of the full size.
+    pub(crate) noise_px: f64,
+    /// The root mean square displacement that the tiles have in common, in pixels of the full size.
+    pub(crate) tiles_px: f64,
+    /// The part of `tiles_px` that its expected error does not explain.
+    pub(crate) excess_px: f64,
     /// Whether the transform was fitted to the displacements of the tiles; otherwise it was fitted to the pixels.
     pub(crate) by_tiles: bool,
     /// Confidence of the picture that the frame was aligned to (1 for the reference), times the uniqueness of the
@@ -44,9 +46,25 @@ impl Candidate {
         &self.tiles.agreement
     }
 
+    /// The expected error, root mean square over the picture, in pixels of the full size.
+    pub(crate) fn error_px(&self) -> f64 {
+        (self.noise_px * self.noise_px + self.excess_px * self.excess_px).sqrt()
+    }
+
+    /// A cautious estimate of the error, in the same unit. The displacement of the tiles counts as a whole: under a wrong
+    /// transform it is large, but so is its expected error.
+    fn most_px(&self) -> f64 {
+        (self.noise_px * self.noise_px + self.tiles_px * self.tiles_px).sqrt()
+    }
+
+    /// Whether the error is certainly so small that the frame can be merged.
+    pub(super) fn is_precise(&self) -> bool {
+        self.most_px() < self.tolerance_px
+    }
+
     /// The confidence, 0..=1: the agreement of the tiles, reduced by the error estimate.
     pub(crate) fn confidence(&self) -> f64 {
-        let off = self.error_px / self.tolerance_px;
+        let off = self.most_px() / self.tolerance_px;
         let tiles = self.agreement().share() * self.agreement().coverage();
         let support = if self.corroborated { tiles.max(CORROBORATED_CONFIDENCE) } else { tiles };
         self.reliability * support / (1.0 + off * off)
@@ -55,7 +73,7 @@ impl Candidate {
     /// The evidence for the transform, used to rank candidates: the number of agreeing tiles minus the number of
     /// disagreeing tiles, reduced by the error estimate.
     pub(crate) fn evidence(&self) -> f64 {
-        let off = self.error_px / self.tolerance_px;
+        let off = self.most_px() / self.tolerance_px;
         let tiles = self.agreement().agreeing as f64 - self.agreement().disagreeing as f64;
         self.reliability * tiles / (1.0 + off * off)
     }
@@ -65,7 +83,7 @@ impl Candidate {
         let Agreement { agreeing, disagreeing, .. } = *self.agreement();
         agreeing >= SETTLED_AGREEING
             && disagreeing * SETTLED_DECIDED_PER_DISAGREEING <= agreeing + disagreeing
-            && self.error_px < SETTLED_ERROR_PX
+            && self.most_px() < SETTLED_ERROR_PX
     }
 }
 
@@ -84,16 +102,22 @@ pub(super) fn evaluate_with_fit(pair: &FramePair, transform: Transform, noise_px
     let fit = agreement::fit(&tiles, &h, (both.reference.width(), both.reference.height()));
     let tolerance_px = tolerance_px((width, height));
     let scale = level_to_full(level)[(0, 0)];
-    let tile_error_px = match &fit {
-        Some(fit) => excess(scale * fit.moved, (noise_px * noise_px + scale * scale * fit.error * fit.error).sqrt()),
-        None => scale * (tiles.agreement.offset - TILE_NOISE_PX).max(0.0),
+    let (tiles_px, excess_px) = match &fit {
+        Some(fit) => {
+            let (moved, error) = (scale * fit.moved, scale * fit.error);
+            (moved, excess(moved, (noise_px * noise_px + error * error).sqrt()))
+        }
+        None => {
+            let offset = scale * (tiles.agreement.offset - TILE_NOISE_PX).max(0.0);
+            (offset, offset)
+        }
     };
-    let error_px = (noise_px * noise_px + tile_error_px * tile_error_px).sqrt();
     let candidate = Candidate {
         transform,
         tiles: Arc::new(tiles),
-        error_px,
-        tile_error_px,
+        noise_px,
+        tiles_px,
+        excess_px,
         reliability: 1.0,
         tolerance_px,
         corroborated: false,

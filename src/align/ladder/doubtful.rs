@@ -33,11 +33,11 @@ impl Target<'_> {
         FramePair::new(&self.pyramid, frame, start)
     }
 
-    /// Adds the target's own error to that of `candidate`, and multiplies the candidate's reliability by the target's
+    /// Adds the target's own error to the noise of `candidate`, and multiplies the candidate's reliability by the target's
     /// confidence.
     fn discount(&self, candidate: Candidate) -> Candidate {
-        let error_px = (candidate.error_px * candidate.error_px + self.error_px * self.error_px).sqrt();
-        Candidate { error_px, reliability: candidate.reliability * self.confidence, ..candidate }
+        let noise_px = (candidate.noise_px * candidate.noise_px + self.error_px * self.error_px).sqrt();
+        Candidate { noise_px, reliability: candidate.reliability * self.confidence, ..candidate }
     }
 }
 
@@ -117,8 +117,8 @@ impl Search<'_> {
             return (rejected(rejection_reason(Some(&best)), best.confidence()), found);
         }
         let reduced = reduce(&targets[b].compare(frame, &best.transform), best.clone());
-        let error_px = reduced.error_px.max(targets[b].error_px);
-        let reduced = Candidate { reliability: best.reliability, error_px, ..reduced };
+        let noise_px = reduced.noise_px.max(targets[b].error_px);
+        let reduced = Candidate { reliability: best.reliability, noise_px, ..reduced };
         (Placement::Placed(estimate(&reduced)), found)
     }
 

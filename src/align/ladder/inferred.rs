@@ -56,9 +56,9 @@ impl Search<'_> {
             if transform == Transform::Identity || has_detail || self.given[i].is_some() {
                 continue;
             }
-            let (here, there) = (self.evaluate(i, Transform::Identity), self.evaluate(i, transform));
+            let (here, there) = (self.evaluate(i, Transform::Identity, 0.0), self.evaluate(i, transform, 0.0));
             if there.tiles.evidence_over(&here.tiles) <= DECISIVE_NATS {
-                *placement = unmoved(&here, here.error_px);
+                *placement = unmoved(&here, here.error_px());
             }
         }
     }
@@ -75,10 +75,10 @@ impl Search<'_> {
         }
         for (i, placement) in placements.iter_mut().enumerate() {
             if self.could_not_align(i, placement) {
-                let here = self.evaluate(i, Transform::Identity);
+                let here = self.evaluate(i, Transform::Identity, 0.0);
                 let agreement = here.agreement();
                 if agreement.agreeing > 0 && agreement.disagreeing <= agreement.agreeing {
-                    *placement = unmoved(&here, here.error_px.max(farthest));
+                    *placement = unmoved(&here, here.error_px().max(farthest));
                 }
             }
         }

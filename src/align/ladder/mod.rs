@@ -92,9 +92,7 @@ impl Search<'_> {
     pub(crate) fn by_bitmaps_alone(&self) -> AllFound {
         self.each(|i| {
             let found = bitmaps::search(self.reference_pyramid(), &self.pyramids[i], 0, &self.options.mtb);
-            let checked = self.evaluate(i, found.transform());
-            // The tile check and the bitmap search estimate different errors, so the larger estimate is used.
-            let checked = Candidate { error_px: checked.error_px.max(found.error_px), ..checked };
+            let checked = self.evaluate(i, found.transform(), found.error_px);
             (Placement::Placed(estimate(&checked)), FeatureCounts::default())
         })
     }
@@ -106,7 +104,7 @@ impl Search<'_> {
             let keypoints = Some(sets[i].counts);
             match self.consensus(&sets[self.reference], &sets[i]) {
                 Some((transform, inliers)) if inliers >= LEAST_INLIERS => {
-                    let placement = Placement::Placed(estimate(&self.evaluate(i, transform)));
+                    let placement = Placement::Placed(estimate(&self.evaluate(i, transform, 0.0)));
                     (placement, FeatureCounts { inliers: Some(inliers), keypoints })
                 }
                 other => {
@@ -206,9 +204,10 @@ impl Search<'_> {
         Some((Transform::Homography(found.homography), found.inliers.len()))
     }
 
-    /// Checks `transform` by tiles, as a candidate for frame `i`.
-    pub(crate) fn evaluate(&self, i: usize, transform: Transform) -> Candidate {
-        evaluate(&FramePair::new(self.reference_pyramid(), &self.pyramids[i], &transform), transform, 0.0)
+    /// Checks `transform` by tiles, as a candidate for frame `i`. `noise_px` is the part of its error that the noise of
+    /// the pixels causes; 0 if it is unknown.
+    pub(crate) fn evaluate(&self, i: usize, transform: Transform, noise_px: f64) -> Candidate {
+        evaluate(&FramePair::new(self.reference_pyramid(), &self.pyramids[i], &transform), transform, noise_px)
     }
 
     /// Places the frames of `order`, which starts next to the reference. A frame whose first result is not final is

@@ -36,16 +36,15 @@ pub(crate) fn reduce(pair: &FramePair, whole: Candidate) -> Candidate {
         if apart > alike_px {
             return Candidate { corroborated: whole.corroborated, ..evaluate(pair, transform, noise_px) };
         }
-        let error_px = (noise_px * noise_px + whole.tile_error_px * whole.tile_error_px).sqrt();
-        Candidate { transform, error_px, ..whole.clone() }
+        Candidate { transform, noise_px, ..whole.clone() }
     };
-    let uncertainty_px = STANDARD_ERRORS * whole.error_px;
+    let uncertainty_px = STANDARD_ERRORS * whole.error_px();
     let still = distance(&whole.transform, &Transform::Identity, width, height);
     if still <= UNMOVED_PX.max(uncertainty_px) {
         let unmoved = checked(Transform::Identity, 0.0, still);
         if unmoved.agreement().share() >= whole.agreement().share() - 0.02 {
-            let error_px = unmoved.error_px.min(still.max(SAME_PX));
-            return Candidate { error_px, ..unmoved };
+            let excess_px = unmoved.excess_px.min(still.max(SAME_PX));
+            return Candidate { excess_px, ..unmoved };
         }
     }
     if whole.by_tiles {

@@ -17,7 +17,7 @@ pub(super) fn is_acceptable(candidate: &Candidate) -> bool {
     let unopposed = agreement.agreeing >= UNOPPOSED_AGREEING
         && agreement.disagreeing * UNOPPOSED_AGREEING_PER_DISAGREEING <= agreement.agreeing;
     candidate.confidence() >= ACCEPTED_CONFIDENCE
-        || (unopposed && candidate.reliability >= ACCEPTED_RELIABILITY && candidate.error_px < candidate.tolerance_px)
+        || (unopposed && candidate.reliability >= ACCEPTED_RELIABILITY && candidate.is_precise())
 }
 
 /// The candidates of a frame, each with the index of the target (the reference, or a warped neighbour) that the frame
@@ -119,7 +119,7 @@ pub(crate) fn estimate(candidate: &Candidate) -> Estimate {
     Estimate {
         transform: candidate.transform,
         model: Model::of(&candidate.transform),
-        error_px: (candidate.agreement().agreeing > 0).then_some(candidate.error_px),
+        error_px: (candidate.agreement().agreeing > 0).then_some(candidate.error_px()),
         confidence: candidate.confidence(),
         displaced: None,
         reason: None,
@@ -150,8 +150,9 @@ mod tests {
         Candidate {
             transform: shift(x, 0.0),
             tiles: Arc::new(TileCheck { agreement, correlations, displacements: Vec::new() }),
-            error_px: 0.1,
-            tile_error_px: 0.0,
+            noise_px: 0.1,
+            tiles_px: 0.0,
+            excess_px: 0.0,
             by_tiles: false,
             reliability: 1.0,
             tolerance_px: 1.5,
@@ -200,7 +201,7 @@ mod tests {
 
     #[test]
     fn candidate_with_a_large_error_or_an_unreliable_target_is_rejected() {
-        let blurred = Candidate { error_px: 3.0, ..candidate(3.0, 20, 10) };
+        let blurred = Candidate { noise_px: 3.0, ..candidate(3.0, 20, 10) };
         let unreliable = Candidate { reliability: 0.2, ..candidate(3.0, 78, 0) };
         assert!(!is_acceptable(&blurred) && !blurred.is_settled(), "{}", blurred.confidence());
         assert!(!is_acceptable(&unreliable), "{}", unreliable.confidence());

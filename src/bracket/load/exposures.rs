@@ -13,6 +13,9 @@ use crate::bracket::exposure::brightness::{self, Brightness, Estimate};
 use crate::bracket::load::copies::{self, Copied};
 use crate::error::{Error, Result, Warning};
 
+/// Uncertainty, in stops, of an exposure that is assumed to be that of another frame: the usual step of a bracket.
+const ASSUMED_STOPS: f64 = 2.0;
+
 /// Returns the exposures of `pictures`, in their order. Excluded frames are not used to check or estimate others.
 pub(super) fn settle(
     pictures: &mut [Picture],
@@ -88,7 +91,8 @@ pub(super) fn settle(
             None => Warning::ExposureEstimated { detail },
         });
     }
-    // An excluded frame is merged only if the user presets its transform. If it has no exposure, this is estimated, too.
+    // An excluded frame is merged only if the user presets its transform. If it has no exposure, this is estimated from
+    // the pixels, or if that is impossible, it is assumed to be that of the first frame by path.
     let evs: Vec<f64> = exposures.iter().map(|exposure| exposure.as_ref().map_or(f64::NAN, Exposure::ev)).collect();
     for i in (0..pictures.len()).filter(|&i| evs[i].is_nan()) {
         let all: Vec<usize> = order.iter().copied().chain([i]).collect();
@@ -97,7 +101,8 @@ pub(super) fn settle(
             let (from, anchor) = Places::new(&all, &estimate.evs, &evs, &order).anchor(at);
             Exposure::estimated(estimate.evs[at] + anchor, estimate.deviation(at, from))
         });
-        exposures[i] = estimated.or_else(|| order.first().and_then(|&first| exposures[first].clone()));
+        let assumed = || Exposure::estimated(evs[*order.first()?], ASSUMED_STOPS);
+        exposures[i] = estimated.or_else(assumed);
     }
     for (i, detail) in assumed.into_iter().filter(|(i, _)| accepted.contains(i)) {
         let path = pictures[i].path.clone();

@@ -57,9 +57,9 @@ fn a_response_file_with_the_name_of_a_report_is_kept() {
     let folder = Folder::empty();
     card(&folder, 1);
     let report = "out/a/IMG_0001-IMG_0003.json";
-    folder.line("batch in -d other -q").done();
     fs::create_dir_all(folder.at("out/a")).unwrap();
-    folder.line(&format!("response in/a/IMG_0001.png in/a/IMG_0002.png in/a/IMG_0003.png -o {report} -q")).done();
+    let photographs = "in/a/IMG_0001.JPG in/a/IMG_0002.JPG in/a/IMG_0003.JPG";
+    folder.line(&format!("response {photographs} -o {report} -q")).done();
     let response = folder.bytes(report);
     let said = refused(folder.line(&format!("batch in -d out -q --response {report} --force")));
     assert!(said.contains("IMG_0001-IMG_0003.json"), "{said}");
