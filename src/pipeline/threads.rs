@@ -49,17 +49,12 @@ pub fn start_threads(threads: Option<usize>) -> Result<()> {
     match rayon::ThreadPoolBuilder::new().num_threads(threads).build_global() {
         // If the pool exists already, the error has no source.
         Err(source) if std::error::Error::source(&source).is_some() => {
-            let threads = if threads == 0 { default_threads() } else { threads };
+            let cores = || std::thread::available_parallelism().map_or(1, usize::from);
+            let threads = if threads == 0 { cores() } else { threads };
             Err(Error::Threads { threads, source })
         }
         _ => Ok(()),
     }
-}
-
-/// Returns the number of threads that rayon starts by default.
-fn default_threads() -> usize {
-    let given = std::env::var("RAYON_NUM_THREADS").ok().and_then(|count| count.parse::<usize>().ok());
-    given.filter(|&count| count > 0).unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from))
 }
 
 #[cfg(test)]

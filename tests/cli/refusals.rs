@@ -65,7 +65,7 @@ fn reference_without_aligned_frames_is_named() {
     });
     folder.put("strange.jpg", &jpeg(&strange, Some(2)));
     let line = "merge w3.jpg strange.jpg --reference w3.jpg -o a.exr -o a.png";
-    refused(&folder, line, 1, &["w3.jpg", "no other frame could be aligned", "--reference", "--align none"]);
+    refused(&folder, line, 1, &["w3.jpg", "no other frame was aligned", "--reference", "--align none"]);
 }
 
 #[test]

@@ -16,8 +16,8 @@ use nalgebra::{DMatrix, DVector, Matrix3};
 
 /// With fewer tiles than this, nothing is fitted.
 const LEAST_TILES: usize = 8;
-/// The actual error, divided by the error that would result if the errors of all tiles were independent. Used to weight
-/// the prior against the tiles.
+/// The actual error, divided by the error that would result if the errors of all tiles were independent. This is the
+/// least value, in scenes where the tiles match well.
 const CORRELATION_FACTOR: f64 = 1.5;
 /// Number of rounds of reweighting.
 const ROUNDS: usize = 5;
@@ -33,6 +33,12 @@ pub(crate) struct TileFit {
     /// The error estimate of the fitted transform, in the same unit: from the scatter of the displacements, and from
     /// [`PEAK_BIAS`].
     pub(crate) error: f64,
+    /// The error of the fitted transform if the tiles match well, in the same unit. Under a wrong transform, `error` is
+    /// large too, so that it cannot show that the transform is wrong.
+    pub(crate) least_error: f64,
+    /// The root mean square change of the parameters, divided by its least standard error. It is about 1 if the checked
+    /// transform is right, because then only noise changes the parameters.
+    pub(crate) significance: f64,
 }
 
 /// Fits a transform to the displacements of the tiles under `h`, for planes of `size`; none if there are too few tiles.
@@ -68,21 +74,25 @@ pub(crate) fn fit(check_tiles: &TileCheck, h: &Matrix3<f64>, size: (usize, usize
             (a, b)
         };
         let parts: Vec<Block> = blocks.iter().map(equations).collect();
+        let (a, b) = parts.iter().fold((prior.clone(), pull.clone()), |(a, b), part| (a + &part.0, b + &part.1));
         if round == ROUNDS {
             // The scores of the residuals after the step.
-            let scores: Vec<Block> = parts
-                .into_iter()
-                .map(|(a, b)| {
-                    let score = &a * &step + b;
-                    (a, score)
-                })
-                .collect();
+            let score = |(a, b): Block| {
+                let score = &a * &step + b;
+                (a, score)
+            };
+            let scores: Vec<Block> = parts.into_iter().map(score).collect();
             let scatter = basis.expected_error(&covariance(&scores, &prior, CORRELATION_FACTOR)?);
-            let error = (scatter * scatter + PEAK_BIAS * PEAK_BIAS).sqrt();
             let moved = h * basis.matrix(&step);
-            return Some(TileFit { h: moved / moved[(2, 2)], moved: basis.mean_move(&step), error });
+            let significance = (step.dot(&(&a * &step)) / n as f64).max(0.0).sqrt() / CORRELATION_FACTOR;
+            return Some(TileFit {
+                h: moved / moved[(2, 2)],
+                moved: basis.mean_move(&step),
+                error: (scatter * scatter + PEAK_BIAS * PEAK_BIAS).sqrt(),
+                least_error: CORRELATION_FACTOR * basis.expected_error(&a.cholesky()?.inverse()),
+                significance,
+            });
         }
-        let (a, b) = parts.iter().fold((prior.clone(), pull.clone()), |(a, b), part| (a + &part.0, b + &part.1));
         step = basis.solve(a, b)?;
     }
     None

@@ -24,9 +24,9 @@ pub(crate) struct Candidate {
     /// The part of the error that the noise of the pixels causes, and the error of the picture that the frame was aligned
     /// to, in pixels of the full size.
     pub(crate) noise_px: f64,
-    /// The root mean square displacement that the tiles have in common, in pixels of the full size.
+    /// The root mean square displacement that the tiles have in common, less its least error, in pixels of the full size.
     pub(crate) tiles_px: f64,
-    /// The part of `tiles_px` that its expected error does not explain.
+    /// The part of the displacement of the tiles that its expected error does not explain.
     pub(crate) excess_px: f64,
     /// Whether the transform was fitted to the displacements of the tiles; otherwise it was fitted to the pixels.
     pub(crate) by_tiles: bool,
@@ -51,9 +51,9 @@ impl Candidate {
         (self.noise_px * self.noise_px + self.excess_px * self.excess_px).sqrt()
     }
 
-    /// A cautious estimate of the error, in the same unit. The displacement of the tiles counts as a whole: under a wrong
-    /// transform it is large, but so is its expected error.
-    fn most_px(&self) -> f64 {
+    /// A cautious estimate of the error, in the same unit, for decisions. Nearly the whole displacement of the tiles
+    /// counts: under a wrong transform it is large, but so is its expected error.
+    pub(super) fn most_px(&self) -> f64 {
         (self.noise_px * self.noise_px + self.tiles_px * self.tiles_px).sqrt()
     }
 
@@ -105,7 +105,9 @@ pub(super) fn evaluate_with_fit(pair: &FramePair, transform: Transform, noise_px
     let (tiles_px, excess_px) = match &fit {
         Some(fit) => {
             let (moved, error) = (scale * fit.moved, scale * fit.error);
-            (moved, excess(moved, (noise_px * noise_px + error * error).sqrt()))
+            let least = scale * fit.least_error;
+            let tiles_px = (moved * moved - least * least).max(0.0).sqrt();
+            (tiles_px, excess(moved, (noise_px * noise_px + error * error).sqrt()))
         }
         None => {
             let offset = scale * (tiles.agreement.offset - TILE_NOISE_PX).max(0.0);

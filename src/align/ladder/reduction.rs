@@ -38,13 +38,15 @@ pub(crate) fn reduce(pair: &FramePair, whole: Candidate) -> Candidate {
         }
         Candidate { transform, noise_px, ..whole.clone() }
     };
-    let uncertainty_px = STANDARD_ERRORS * whole.error_px();
+    let uncertainty_px = STANDARD_ERRORS * whole.most_px();
     let still = distance(&whole.transform, &Transform::Identity, width, height);
     if still <= UNMOVED_PX.max(uncertainty_px) {
         let unmoved = checked(Transform::Identity, 0.0, still);
         if unmoved.agreement().share() >= whole.agreement().share() - 0.02 {
-            let excess_px = unmoved.excess_px.min(still.max(SAME_PX));
-            return Candidate { excess_px, ..unmoved };
+            // The true transform is between `whole` and no motion, or near them.
+            let most = still.max(SAME_PX);
+            let (tiles_px, excess_px) = (unmoved.tiles_px.min(most), unmoved.excess_px.min(most));
+            return Candidate { tiles_px, excess_px, ..unmoved };
         }
     }
     if whole.by_tiles {

@@ -81,7 +81,7 @@ fn by_tiles(pair: &FramePair, from: &Candidate, mut fit: Option<TileFit>) -> Opt
     let level = measured_level(pair.reference());
     let mut best = None;
     for _ in 0..TILE_STEPS {
-        let Some(tiles) = fit.filter(|f| f.moved > LEAST_SIGNIFICANCE * f.error) else {
+        let Some(tiles) = fit.filter(|f| f.significance > LEAST_SIGNIFICANCE && f.moved > LEAST_TILE_MOVE) else {
             break;
         };
         let transform = Transform::Homography(off_level(&tiles.h, level));
@@ -103,8 +103,11 @@ fn by_tiles(pair: &FramePair, from: &Candidate, mut fit: Option<TileFit>) -> Opt
 
 /// Largest number of successive corrections by tiles.
 const TILE_STEPS: usize = 5;
-/// A correction is made only if the displacement of the tiles exceeds this multiple of its error.
+/// A correction is made only if the displacement of the tiles exceeds this multiple of its error
+/// ([`TileFit::significance`]).
 const LEAST_SIGNIFICANCE: f64 = 2.0;
+/// A correction is made only if the displacement of the tiles exceeds this, in pixels of their level.
+const LEAST_TILE_MOVE: f64 = 0.05;
 
 /// Whether a hand-held camera can cause this transform: every corner moves by less than a third of the diagonal, and
 /// every side keeps between half and twice its length.

@@ -50,7 +50,7 @@ fn bitmaps_settle_an_ordinary_pair() {
         // The error estimate must be larger than the actual error, but less than 0.05 px, the limit of the corner
         // errors in the tests of `refinement`.
         let error = distance(&found.transform, &truth, SIZE.0, SIZE.1);
-        assert!(error < found.error_px && found.error_px < 0.05, "{error} against {}", found.error_px);
+        assert!(error < found.error_px() && found.error_px() < 0.05, "{error} against {}", found.error_px());
     }
 }
 
