@@ -185,7 +185,7 @@ fn all_but_one_clipped_or_black_is_refused() {
         let folder = Folder::empty();
         let names = exposed(&folder, &pictures);
         let reference = format!("f{}.jpg", 1 + pictures.iter().position(|p| p.1 == 3).expect("the middle"));
-        refused(&folder, &names, &[&format!("{reference}: no other frame could be aligned"), "--align none"]);
+        refused(&folder, &names, &[&format!("{reference}: no other frame was aligned"), "--align none"]);
         // With --align none they are merged, although black and clipped.
         let lain = merged(&folder, &format!("{names} --align none"));
         assert_eq!(lain.report["crop"]["width_px"], 300);

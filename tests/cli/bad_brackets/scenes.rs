@@ -78,9 +78,9 @@ fn frames_of_different_scenes_are_refused() {
     let folder = Folder::empty();
     let other = imageops::rotate180(&elsewhere(3));
     let names = exposed(&folder, &[(&frame(2), 2), (&other, 3), (&elsewhere(4), 4)]);
-    refused(&folder, &names, &["no other frame could be aligned", "choose another reference with --reference"]);
+    refused(&folder, &names, &["no other frame was aligned", "choose another reference with --reference"]);
     let two = "f1.jpg f3.jpg";
-    refused(&folder, two, &["no other frame could be aligned"]);
+    refused(&folder, two, &["no other frame was aligned"]);
 }
 
 /// Two of five frames show another scene, and one of these two has the most usable pixels of all: the other three are
