@@ -84,13 +84,17 @@ impl TileCheck {
     /// [`evidence_over`](Self::evidence_over), without what all tiles have in common.
     ///
     /// Only parts of the picture that do not repeat distinguish the right transform from one that is shifted by a
-    /// period. Interpolation, tones and the precision of the two refinements change the correlations of all tiles alike.
-    /// In a scene that repeats exactly, this alone would add up to decisive evidence. Therefore the median of the tiles'
-    /// evidence, up to one nat, is subtracted from the evidence of each.
+    /// period. Interpolation, tones and the precision of the two refinements change the correlations of most tiles in the
+    /// same direction. In a scene that repeats exactly, this alone could add up to decisive evidence. Therefore the
+    /// median of the tiles' evidence, up to one nat, is subtracted from the evidence of each. The sign stays the same.
     pub fn distinction_from(&self, other: &TileCheck) -> f64 {
         let tiles: Vec<f64> = self.evidence_by_tile(other).collect();
-        let common = median(tiles.iter().copied()).unwrap_or(0.0).clamp(-MOST_COMMON, MOST_COMMON);
-        tiles.iter().map(|nats| nats - common).sum()
+        let all: f64 = tiles.iter().sum();
+        // For an even number of tiles, `median` is the upper one of the two in the middle.
+        let upper = median(tiles.iter().copied()).unwrap_or(0.0);
+        let lower = -median(tiles.iter().map(|nats| -nats)).unwrap_or(0.0);
+        let common = (0.5 * (upper + lower)).clamp(-MOST_COMMON, MOST_COMMON) * tiles.len() as f64;
+        if all > 0.0 { (all - common.max(0.0)).max(0.0) } else { (all - common.min(0.0)).min(0.0) }
     }
 
     /// Returns the terms of [`evidence_over`](Self::evidence_over).
@@ -102,8 +106,8 @@ impl TileCheck {
 }
 
 /// Largest evidence per tile, in nats, that [`distinction_from`](TileCheck::distinction_from) subtracts. In rendered
-/// scenes that repeat exactly, the tiles of two equally right transforms differ by up to 0.7. In a scene that does not,
-/// the tiles of a wrong transform have more.
+/// scenes that repeat exactly, the tiles of two equally right transforms differ by up to 0.7. Where a scene does not
+/// repeat, the tiles of a wrong transform usually differ by more.
 const MOST_COMMON: f64 = 1.0;
 /// Share of a tile's variance that noise leaves unexplained even under the true transform.
 const UNEXPLAINED: f64 = 0.05;

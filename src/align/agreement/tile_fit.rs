@@ -16,8 +16,8 @@ use nalgebra::{DMatrix, DVector, Matrix3};
 
 /// With fewer tiles than this, nothing is fitted.
 const LEAST_TILES: usize = 8;
-/// The actual error, divided by the error that would result if the errors of all tiles were independent. This is the
-/// least value, in scenes where the tiles match well.
+/// The actual error, divided by the error that would result if the errors of all tiles were independent, in scenes where
+/// the tiles match well.
 const CORRELATION_FACTOR: f64 = 1.5;
 /// Number of rounds of reweighting.
 const ROUNDS: usize = 5;
@@ -33,8 +33,9 @@ pub(crate) struct TileFit {
     /// The error estimate of the fitted transform, in the same unit: from the scatter of the displacements, and from
     /// [`PEAK_BIAS`].
     pub(crate) error: f64,
-    /// The error of the fitted transform if the tiles match well, in the same unit. Under a wrong transform, `error` is
-    /// large too, so that it cannot show that the transform is wrong.
+    /// The error of the fitted transform if the errors of the tiles were nearly independent (see
+    /// [`CORRELATION_FACTOR`]), in the same unit. Under a wrong transform, neighbouring tiles are displaced alike, so
+    /// that `error` is larger than this.
     pub(crate) least_error: f64,
     /// The root mean square change of the parameters, divided by its least standard error. It is about 1 if the checked
     /// transform is right, because then only noise changes the parameters.

@@ -215,7 +215,7 @@ const ALTERNATIVES_SIDE: usize = 128;
 
 /// Largest number of bitmap words that are compared for one angle when every shift is tried. It takes some tenths of a
 /// second. With the default `max_shift`, a picture reaches this limit only if it is much longer than wide; in
-/// [`alternatives`], only if it is about four times as long as wide, or longer.
+/// [`alternatives`], only if it is more than three times as long as wide.
 const MOST_WORK: i64 = 1 << 29;
 /// Overhead of starting a row, expressed as the number of words that could be compared in the same time.
 const ROW_WORDS: usize = 8;

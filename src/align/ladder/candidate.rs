@@ -21,10 +21,11 @@ pub(crate) struct Candidate {
     pub(crate) transform: Transform,
     /// The check of the transform by tiles.
     pub(crate) tiles: Arc<TileCheck>,
-    /// The part of the error that the noise of the pixels causes, and the error of the picture that the frame was aligned
+    /// The error estimate of the method that found the transform, and the error of the picture that the frame was aligned
     /// to, in pixels of the full size.
     pub(crate) noise_px: f64,
-    /// The root mean square displacement that the tiles have in common, less its least error, in pixels of the full size.
+    /// The displacement of the tiles, less its least error, in pixels of the full size: the root mean square of what they
+    /// have in common, or, with few tiles, the median.
     pub(crate) tiles_px: f64,
     /// The part of the displacement of the tiles that its expected error does not explain.
     pub(crate) excess_px: f64,
@@ -57,7 +58,7 @@ impl Candidate {
         (self.noise_px * self.noise_px + self.tiles_px * self.tiles_px).sqrt()
     }
 
-    /// Whether the error is certainly so small that the frame can be merged.
+    /// Whether even the cautious estimate of the error is small enough to merge the frame.
     pub(super) fn is_precise(&self) -> bool {
         self.most_px() < self.tolerance_px
     }
@@ -87,7 +88,7 @@ impl Candidate {
     }
 }
 
-/// Checks `transform` by tiles. `noise_px` is the part of its error that the noise of the pixels causes.
+/// Checks `transform` by tiles. `noise_px` is the error estimate of the method that found it.
 pub(crate) fn evaluate(pair: &FramePair, transform: Transform, noise_px: f64) -> Candidate {
     evaluate_with_fit(pair, transform, noise_px).0
 }
@@ -129,7 +130,7 @@ pub(super) fn evaluate_with_fit(pair: &FramePair, transform: Transform, noise_px
 }
 
 /// Returns the part of a displacement d that its expected error e does not explain, in the same unit: d (1 - (e / d)^2),
-/// and 0 if d is less than e (the estimate of James & Stein, 1961, with the factor limited to 0).
+/// and 0 if d is less than e (similar to the estimate of James & Stein, 1961, whose factor is at least 0).
 fn excess(displacement: f64, error: f64) -> f64 {
     if displacement > error { (displacement * displacement - error * error) / displacement } else { 0.0 }
 }

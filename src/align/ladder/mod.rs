@@ -204,8 +204,8 @@ impl Search<'_> {
         Some((Transform::Homography(found.homography), found.inliers.len()))
     }
 
-    /// Checks `transform` by tiles, as a candidate for frame `i`. `noise_px` is the part of its error that the noise of
-    /// the pixels causes; 0 if it is unknown.
+    /// Checks `transform` by tiles, as a candidate for frame `i`. `noise_px` is the error estimate of the method
+    /// that found it; 0 if it is unknown.
     pub(crate) fn evaluate(&self, i: usize, transform: Transform, noise_px: f64) -> Candidate {
         evaluate(&FramePair::new(self.reference_pyramid(), &self.pyramids[i], &transform), transform, noise_px)
     }

@@ -43,7 +43,7 @@ pub(crate) fn reduce(pair: &FramePair, whole: Candidate) -> Candidate {
     if still <= UNMOVED_PX.max(uncertainty_px) {
         let unmoved = checked(Transform::Identity, 0.0, still);
         if unmoved.agreement().share() >= whole.agreement().share() - 0.02 {
-            // The true transform is between `whole` and no motion, or near them.
+            // The error is not larger than the distance from the transform that was found.
             let most = still.max(SAME_PX);
             let (tiles_px, excess_px) = (unmoved.tiles_px.min(most), unmoved.excess_px.min(most));
             return Candidate { tiles_px, excess_px, ..unmoved };

@@ -1,8 +1,8 @@
 //! The covariance of the parameters of an [`Increment`](super::Increment), estimated from the residuals themselves.
 //!
 //! In: for each block of the picture, its part of the normal equations. Out: the covariance of the parameters, or none
-//! if it is not determined. Cost: the solution of a small system of equations per block. Source: the jackknife that
-//! leaves out one group of observations at a time (Efron & Tibshirani, An Introduction to the Bootstrap, 1993, chapter
+//! if the observations do not determine them. Cost: the solution of a small system of equations per block. Source: the
+//! jackknife that leaves out one group of observations at a time (Efron & Tibshirani, An Introduction to the Bootstrap, 1993, chapter
 //! 11; for regression, Cameron & Miller, Journal of Human Resources 50(2), 2015, section VI).
 //!
 //! The residuals of neighbouring points are not independent. Smoothing, JPEG and aliasing correlate them. Where the
@@ -23,8 +23,8 @@ const CURVATURE: f64 = 0.83;
 /// The actual error, divided by the error that would result if the errors of different blocks were independent. Measured
 /// on rendered brackets.
 const BETWEEN_BLOCKS: f64 = 1.4;
-/// Share of the matrix D (see [`covariance`]) that is left at least if a block is left out. If a single block has all
-/// the detail, its change is then 100 times the one that its scores alone cause.
+/// Share of the matrix D (see [`covariance`]) that is added when a block is left out. Without it, there would be no
+/// solution if no other block has any detail.
 const LEAST_LEFT: f64 = 0.01;
 
 /// The sums over the observations of a block: the matrix A = sum w J^T S J of the normal equations, and the score sum w
@@ -53,7 +53,7 @@ pub(crate) fn blocks(places: impl Iterator<Item = [f64; 2]>, size: (usize, usize
 /// change by d_k = (D - [`CURVATURE`] A_k)^-1 s_k. The covariance is (B - 1) / B times the sum of (d_k - m) (d_k - m)^T
 /// over the B blocks, where m is the mean of d_k, plus the part of the prior, `factor`^2 D^-1 P D^-1. There, P is
 /// multiplied by `factor`^2 once more, because it is a variance: scaling the scores of the prior by `factor`^2 scales
-/// their variance by `factor`^4. At last, the covariance is multiplied by the square of [`BETWEEN_BLOCKS`].
+/// their variance by `factor`^4. Finally, the covariance is multiplied by the square of [`BETWEEN_BLOCKS`].
 pub(crate) fn covariance(blocks: &[Block], prior: &DMatrix<f64>, factor: f64) -> Option<DMatrix<f64>> {
     let n = prior.nrows();
     let whole = blocks.iter().fold(prior.clone(), |sum, (matrix, _)| sum + matrix * CURVATURE);
@@ -71,7 +71,14 @@ pub(crate) fn covariance(blocks: &[Block], prior: &DMatrix<f64>, factor: f64) ->
         let off = change - &mean;
         covariance += &off * off.transpose() * ((count - 1.0) / count);
     }
-    Some(covariance * (BETWEEN_BLOCKS * BETWEEN_BLOCKS))
+    covariance *= BETWEEN_BLOCKS * BETWEEN_BLOCKS;
+    // Few blocks do not show how different they are. The error is then taken from noise, as if it were independent, but
+    // `factor` times as large.
+    if blocks.iter().filter(|(matrix, _)| matrix.trace() > 0.0).count() <= n {
+        let data = blocks.iter().fold(DMatrix::zeros(n, n), |sum, (matrix, _)| sum + matrix);
+        covariance += &inverse * data * &inverse * (factor * factor);
+    }
+    Some(covariance)
 }
 
 #[cfg(test)]
@@ -156,10 +163,11 @@ mod tests {
     }
 
     #[test]
-    fn a_block_that_has_all_the_detail_gives_a_large_error() {
+    fn few_blocks_have_at_least_the_error_of_independent_noise() {
+        // After a fit, the score of the only block is zero: its scatter shows nothing.
         let mut blocks = vec![(DMatrix::zeros(2, 2), DVector::zeros(2)); 9];
-        blocks[4] = (DMatrix::identity(2, 2), DVector::from_vec(vec![0.1, 0.0]));
-        let found = covariance(&blocks, &DMatrix::zeros(2, 2), 1.0).unwrap();
-        assert!(found[(0, 0)] > 10.0, "{found}");
+        blocks[4] = (DMatrix::identity(2, 2) * 4.0, DVector::zeros(2));
+        let found = covariance(&blocks, &DMatrix::zeros(2, 2), 3.0).unwrap();
+        assert!((found[(0, 0)] - 9.0 / 4.0 / (CURVATURE * CURVATURE)).abs() < 1e-9, "{found}");
     }
 }

@@ -159,8 +159,7 @@ fn top_code_luminance(frame: &Frame) -> Result<f64> {
         return Ok(CAMERA_CONSTANT / exposure.relative());
     }
     let why = match exposure.source {
-        ExposureSource::Exif => format!("the EXIF has no {}", missing.join(" and ")),
-        ExposureSource::Given => "its exposure is given by -e and not from EXIF".to_owned(),
+        ExposureSource::Exif | ExposureSource::Given => format!("the EXIF has no {}", missing.join(" and ")),
         ExposureSource::Estimated => "its exposure is estimated from the pixels and not from EXIF".to_owned(),
     };
     Err(Error::Option {
