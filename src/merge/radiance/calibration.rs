@@ -159,7 +159,8 @@ fn top_code_luminance(frame: &Frame) -> Result<f64> {
         return Ok(CAMERA_CONSTANT / exposure.relative());
     }
     let why = match exposure.source {
-        ExposureSource::Exif | ExposureSource::Given => format!("the EXIF has no {}", missing.join(" and ")),
+        ExposureSource::Exif => format!("the EXIF has no {}", missing.join(" and ")),
+        ExposureSource::Given => "its EXIF does not have all of exposure time, f-number and ISO".to_owned(),
         ExposureSource::Estimated => "its exposure is estimated from the pixels and not from EXIF".to_owned(),
     };
     Err(Error::Option {
