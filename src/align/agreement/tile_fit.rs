@@ -55,7 +55,7 @@ pub(crate) fn fit(check_tiles: &TileCheck, h: &Matrix3<f64>, size: (usize, usize
     let (mut prior, mut pull) = (DMatrix::zeros(n, n), DVector::zeros(n));
     basis.add_prior(h, CORRELATION_FACTOR, &mut prior, &mut pull);
     let mut step = DVector::zeros(n);
-    for round in 0.. {
+    for round in 0..=ROUNDS {
         let misfits: Vec<f64> = tiles.iter().zip(&places).map(|(t, j)| misfit(t, j, &step)).collect();
         let variance = (median(misfits.iter().copied())? / MEDIAN_SQUARE).max(1e-12);
         let equations = |block: &Vec<usize>| {

@@ -2,8 +2,8 @@
 //!
 //! In: for each block of the picture, its part of the normal equations. Out: the covariance of the parameters, or none
 //! if the observations do not determine them. Cost: the solution of a small system of equations per block. Source: the
-//! jackknife that leaves out one group of observations at a time (Efron & Tibshirani, An Introduction to the Bootstrap, 1993, chapter
-//! 11; for regression, Cameron & Miller, Journal of Human Resources 50(2), 2015, section VI).
+//! jackknife that leaves out one group of observations at a time (Efron & Tibshirani, An Introduction to the Bootstrap,
+//! 1993, chapter 11; for regression, Cameron & Miller, Journal of Human Resources 50(2), 2015, section VI).
 //!
 //! The residuals of neighbouring points are not independent. Smoothing, JPEG and aliasing correlate them. Where the
 //! model does not fit, because of the tones, the lens or a thing that moved, neighbouring residuals have the same sign.
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn few_blocks_have_at_least_the_error_of_independent_noise() {
+    fn few_blocks_have_the_error_of_independent_noise() {
         // After a fit, the score of the only block is zero: its scatter shows nothing.
         let mut blocks = vec![(DMatrix::zeros(2, 2), DVector::zeros(2)); 9];
         blocks[4] = (DMatrix::identity(2, 2) * 4.0, DVector::zeros(2));
