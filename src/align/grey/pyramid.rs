@@ -84,10 +84,10 @@ impl GreyPyramid {
         self.levels.is_empty()
     }
 
-    /// Returns the index of the largest level whose short side is less than `side` pixels; if there is none, the index
-    /// of the coarsest level.
+    /// Returns the index of the largest kept level whose short side is less than `side` pixels; if there is none, the
+    /// index of the coarsest level.
     pub(crate) fn level_narrower_than(&self, side: usize) -> usize {
-        (0..self.len()).find(|&i| self.size(i).0.min(self.size(i).1) < side).unwrap_or(self.len() - 1)
+        (self.passed..self.len()).find(|&i| self.size(i).0.min(self.size(i).1) < side).unwrap_or(self.len() - 1)
     }
 
     /// The histogram of level `i`.
@@ -129,7 +129,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_pyramid_by_rows_has_the_same_levels_but_for_a_largest_that_no_search_uses() {
+    fn the_level_of_a_long_strip_by_its_short_side_was_kept() {
+        // 250 rows are narrow enough for level 0, which is not kept because it has more than 4 megapixels.
+        let strip = GreyPyramid::of_rows((17_000, 250), |_, row| row.fill(90));
+        assert_eq!((strip.passed, strip.level_narrower_than(256)), (1, 1));
+    }
+
+    #[test]
+    fn a_pyramid_by_rows_has_the_same_levels_but_for_a_largest_that_is_not_kept() {
         for (size, is_kept) in [((2401, 1803), false), ((2000, 1500), true), ((90_000, 50), true)] {
             let grey = Plane::from_rows(size.0, size.1, |y, row| {
                 row.iter_mut().enumerate().for_each(|(x, v)| *v = ((x * x / 7 + 31 * y) % 251) as u8);

@@ -24,6 +24,9 @@ pub(super) struct Cell {
     pub(super) precision: [f64; 3],
     /// Whether at least half of the matches around the cell agree with each other.
     pub(super) agrees: bool,
+    /// The part of the picture that is nearer to this cell than to any other, divided by its mean over all cells (see
+    /// [`areas`](super::areas)).
+    pub(super) area: f64,
 }
 
 impl Cell {

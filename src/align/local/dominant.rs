@@ -13,17 +13,16 @@
 //! 0.
 
 use crate::align::local::cell::{Cell, square};
-use crate::align::transform::{Increment, Model};
+use crate::align::transform::{Block, Increment, Model, blocks, covariance};
 use crate::statistics::{TUKEY, biweight, random};
 use nalgebra::{DMatrix, DVector, Matrix3};
-use std::cmp::Reverse;
 
-/// Tolerances that are tried in the refinement of the homography; the result that fits the most cells is used. A
+/// Tolerances that are tried in the refinement of the homography; the result that fits the largest area is used. A
 /// tolerance is the assumed standard deviation, along an axis, of the displacements of the cells from the homography,
-/// in pixels of the full size. A precise cell that is displaced by [`TUKEY`] times the tolerance (0.9, 1.6 and 2.8 px)
-/// or more has no weight. With the smallest tolerance, the homography fits one of several planes; with the largest, it
-/// fits a curved surface as a whole.
-const TOLERANCES_PX: [f64; 3] = [0.2, 0.35, 0.6];
+/// in pixels of the full size. A precise cell that is displaced by [`TUKEY`] times the tolerance (0.9 and 2.8 px) or
+/// more has no weight. With the smaller tolerance, the homography fits one of several planes; with the larger, it fits
+/// a curved surface as a whole.
+const TOLERANCES_PX: [f64; 2] = [0.2, 0.6];
 /// A cell fits a homography if it is displaced from it by less than this (more, if its displacement is imprecise), in
 /// pixels of the full size. Up to this displacement, no double edge is visible.
 const FITS_PX: f64 = 1.0;
@@ -39,10 +38,11 @@ const SAMPLE: usize = 4;
 const COMPARED: usize = 1500;
 /// Numbers of steps of reweighted least squares: (in the refinement of each motion, at the end on all cells).
 const STEPS: (usize, usize) = (5, 10);
-/// Cells that are closer together than this, in cells, have similar displacements. Therefore a square of cells with
-/// this side counts as one independent observation, for the prior and for the error estimate.
-const ALIKE_CELLS: f64 = 6.0;
-/// A homography is used only if it fits more cells than the given transform, by at least this share of all cells.
+/// Actual standard error, divided by the one that would result if all cells were independent. Patches overlap, and
+/// neighbouring cells are displaced alike. Measured on rendered brackets.
+const CORRELATION_FACTOR: f64 = 4.0;
+/// A homography is used only if it fits more of the picture than the given transform, by at least this share of the
+/// area of all cells.
 const LEAST_GAIN: f64 = 0.01;
 
 /// A homography that fits more of a picture than the given transform. All lengths are in pixels of the level.
@@ -56,42 +56,36 @@ pub(super) struct Dominant {
 /// Returns the homography that fits the largest number of `cells`; none if `h` fits nearly as many. The displacements
 /// in `cells` are measured from the positions that `h` gives.
 ///
-/// `size` is the size of the level in pixels, `scale` the side of one of its pixels in pixels of the full size, and
-/// `overlap` the number of cells that each pixel contributes to.
-pub(super) fn search(
-    cells: &[Cell],
-    h: &Matrix3<f64>,
-    size: (usize, usize),
-    scale: f64,
-    overlap: f64,
-) -> Option<Dominant> {
-    let fit = Fit { basis: Increment::new(Model::Homography, size.0, size.1), h, factor: ALIKE_CELLS * overlap.sqrt() };
+/// `size` is the size of the level in pixels, and `scale` the side of one of its pixels in pixels of the full size.
+pub(super) fn search(cells: &[Cell], h: &Matrix3<f64>, size: (usize, usize), scale: f64) -> Option<Dominant> {
+    let fit = Fit { basis: Increment::new(Model::Homography, size.0, size.1), h };
     let sparse: Vec<Cell> = cells.iter().step_by(cells.len().div_ceil(COMPARED)).copied().collect();
     let (checked, still) = (fit.observations(&sparse, FITS_PX / scale), DVector::zeros(fit.basis.parameters()));
-    let mut starts: Vec<DVector<f64>> = (0..TRIALS)
-        .filter_map(|trial| Some(fit.solve(&drawn(&checked, trial), |_| 1.0, &still, 1.0)?.0))
+    let mut starts: Vec<(f64, DVector<f64>)> = (0..TRIALS)
+        .filter_map(|trial| fit.through(&drawn(&checked, trial)))
         .chain([still.clone()])
+        .map(|step| (fitting(&checked, &step), step))
         .collect();
-    starts.sort_by_cached_key(|step| Reverse(fitting(&checked, step)));
+    starts.sort_by(|a, b| b.0.total_cmp(&a.0));
     starts.truncate(SETTLED);
     let settled = TOLERANCES_PX.iter().flat_map(|tolerance| {
         let observations = fit.observations(&sparse, tolerance / scale);
-        let settle = |start: &DVector<f64>| Some((fit.settle(&observations, start.clone(), STEPS.0)?.0, *tolerance));
+        let settle = |(_, start): &(f64, DVector<f64>)| {
+            let step = fit.settle(&observations, start.clone(), STEPS.0)?;
+            Some((fitting(&checked, &step), step, tolerance))
+        };
         starts.iter().filter_map(settle).collect::<Vec<_>>()
     });
-    let (best, tolerance) = settled
-        .map(|(step, tolerance)| (fitting(&checked, &step), (step, tolerance)))
-        .reduce(|best, other| if other.0 > best.0 { other } else { best })?
-        .1;
-    let (step, normal) = fit.settle(&fit.observations(cells, tolerance / scale), best, STEPS.1)?;
+    let (_, best, tolerance) = settled.reduce(|best, other| if other.0 > best.0 { other } else { best })?;
+    let observations = fit.observations(cells, tolerance / scale);
+    let step = fit.settle(&observations, best, STEPS.1)?;
     let checked = fit.observations(cells, FITS_PX / scale);
-    let gain = fitting(&checked, &step) as f64 - fitting(&checked, &still) as f64;
+    let gain = fitting(&checked, &step) - fitting(&checked, &still);
     if gain < LEAST_GAIN * cells.len() as f64 {
         return None;
     }
     let moved = h * fit.basis.matrix(&step);
-    let error = fit.factor * fit.basis.expected_error(&normal.cholesky()?.inverse());
-    Some(Dominant { h: moved / moved[(2, 2)], error })
+    Some(Dominant { h: moved / moved[(2, 2)], error: fit.error(&observations, cells, &step, size)? })
 }
 
 /// A cell as an observation of the motion.
@@ -100,6 +94,8 @@ struct Observation {
     /// For each parameter of the motion, the derivatives (x, y) of the position by it.
     jacobian: [[f64; 2]; 8],
     displacement: [f64; 2],
+    /// The part of the picture that the cell stands for; see [`Cell::area`].
+    area: f64,
     /// Inverse covariance [xx, xy, yy] of the displacement. The square of the tolerance was added to the covariance,
     /// along both axes, before it was inverted.
     precision: [f64; 3],
@@ -114,7 +110,7 @@ impl Observation {
         let (t2, det) = (tolerance * tolerance, (xx * yy - xy * xy).max(0.0));
         let below = 1.0 + t2 * (xx + yy) + t2 * t2 * det;
         let precision = [(xx + t2 * det) / below, xy / below, (yy + t2 * det) / below];
-        Observation { jacobian: basis.jacobian(x, y), displacement: cell.displacement, precision }
+        Observation { jacobian: basis.jacobian(x, y), displacement: cell.displacement, area: cell.area, precision }
     }
 
     /// The length of the displacement that remains after the motion with the parameters `step`, in standard deviations.
@@ -128,11 +124,11 @@ impl Observation {
     }
 }
 
-/// Returns the number of `observations` that differ from the motion with the parameters `step` by less than one
-/// standard deviation. If the observations were made with the tolerance [`FITS_PX`], this is the number of cells that
+/// Returns the area of the `observations` that differ from the motion with the parameters `step` by less than one
+/// standard deviation. If the observations were made with the tolerance [`FITS_PX`], this is the area of the cells that
 /// fit.
-fn fitting(observations: &[Observation], step: &DVector<f64>) -> usize {
-    observations.iter().filter(|o| o.off(step) < 1.0).count()
+fn fitting(observations: &[Observation], step: &DVector<f64>) -> f64 {
+    observations.iter().filter(|o| o.off(step) < 1.0).map(|o| o.area).sum()
 }
 
 /// Returns the random sample of number `trial`: [`SAMPLE`] observations, always the same for the same number.
@@ -141,12 +137,15 @@ fn drawn(all: &[Observation], trial: u64) -> Vec<Observation> {
     (0..SAMPLE).map(|draw| all[index(draw)]).collect()
 }
 
+/// Tukey's weight of an observation after the motion with the parameters `step`.
+fn weight(observation: &Observation, step: &DVector<f64>) -> f64 {
+    biweight(observation.off(step) / TUKEY)
+}
+
 /// The least squares problem whose unknowns are the parameters of the motion.
 struct Fit<'a> {
     basis: Increment,
     h: &'a Matrix3<f64>,
-    /// Actual standard error, divided by the one that would result if all observations were independent.
-    factor: f64,
 }
 
 impl Fit<'_> {
@@ -155,41 +154,39 @@ impl Fit<'_> {
         cells.iter().map(|cell| Observation::new(cell, &self.basis, tolerance)).collect()
     }
 
-    /// Repeats [`Fit::solve`], each time with Tukey's weights for the residuals of the previous solution.
-    fn settle(
-        &self,
-        observations: &[Observation],
-        start: DVector<f64>,
-        steps: usize,
-    ) -> Option<(DVector<f64>, DMatrix<f64>)> {
-        let mut found = (start, DMatrix::identity(0, 0));
-        for _ in 0..steps {
-            let weight = |o: &Observation| biweight(o.off(&found.0) / TUKEY);
-            found = self.solve(observations, weight, &found.0, self.factor)?;
-        }
-        Some(found)
+    /// Returns the motion that four observations determine. The prior decides what they leave open.
+    fn through(&self, sample: &[Observation]) -> Option<DVector<f64>> {
+        self.solve(sample.iter().map(|o| (o, 1.0)), &DVector::zeros(self.basis.parameters()), 1.0)
     }
 
-    /// Returns the parameters of the motion with the least sum of weighted squared residuals, and the matrix of the
-    /// normal equations.
+    /// Repeats [`Fit::solve`], each time with Tukey's weights for the residuals of the previous solution.
+    fn settle(&self, observations: &[Observation], start: DVector<f64>, steps: usize) -> Option<DVector<f64>> {
+        (0..steps).try_fold(start, |step, _| {
+            self.solve(observations.iter().map(|o| (o, weight(o, &step))), &step, CORRELATION_FACTOR)
+        })
+    }
+
+    /// Returns the parameters of the motion with the least sum of weighted squared residuals.
     ///
     /// The prior is linearised at the motion with the parameters `at`. `factor` is the actual standard error, divided
     /// by that of independent observations.
-    fn solve(
+    fn solve<'o>(
         &self,
-        observations: &[Observation],
-        weight: impl Fn(&Observation) -> f64,
+        weighted: impl Iterator<Item = (&'o Observation, f64)>,
         at: &DVector<f64>,
         factor: f64,
-    ) -> Option<(DVector<f64>, DMatrix<f64>)> {
+    ) -> Option<DVector<f64>> {
+        let ((a, b), (prior, pull)) = (self.equations(weighted), self.prior(at, factor));
+        self.basis.solve(a + prior, b + pull)
+    }
+
+    /// Returns the matrix A and the vector b of the normal equations A d = -b of weighted observations, without the
+    /// prior.
+    fn equations<'o>(&self, weighted: impl Iterator<Item = (&'o Observation, f64)>) -> (DMatrix<f64>, DVector<f64>) {
         let n = self.basis.parameters();
         let (mut a, mut b) = (DMatrix::zeros(n, n), DVector::zeros(n));
-        for o in observations {
-            let weight = weight(o);
-            if weight == 0.0 {
-                continue;
-            }
-            let [xx, xy, yy] = o.precision.map(|p| weight * p);
+        for (o, weight) in weighted.filter(|(_, weight)| *weight > 0.0) {
+            let [xx, xy, yy] = o.precision.map(|p| o.area * weight * p);
             let [x, y] = o.displacement;
             let pull = [xx * x + xy * y, xy * x + yy * y];
             for p in 0..n {
@@ -206,12 +203,35 @@ impl Fit<'_> {
                 a[(q, p)] = a[(p, q)];
             }
         }
-        // `add_prior` gives equations for the change from `at`. Here the unknown is the whole motion, so A times `at`
-        // is subtracted from the vector b.
-        let (mut prior_a, mut prior_b) = (DMatrix::zeros(n, n), DVector::zeros(n));
-        self.basis.add_prior(&(self.h * self.basis.matrix(at)), factor, &mut prior_a, &mut prior_b);
-        b += prior_b - &prior_a * at;
-        a += prior_a;
-        Some((self.basis.solve(a.clone(), b)?, a))
+        (a, b)
+    }
+
+    /// Returns the part of the prior in the normal equations. `add_prior` gives equations for the change from `at`. Here
+    /// the unknown is the whole motion, so the matrix times `at` is subtracted from the vector.
+    fn prior(&self, at: &DVector<f64>, factor: f64) -> (DMatrix<f64>, DVector<f64>) {
+        let n = self.basis.parameters();
+        let (mut a, mut b) = (DMatrix::zeros(n, n), DVector::zeros(n));
+        self.basis.add_prior(&(self.h * self.basis.matrix(at)), factor, &mut a, &mut b);
+        b -= &a * at;
+        (a, b)
+    }
+
+    /// Returns the expected root mean square error over the picture, in pixels of the level, of the motion with the
+    /// parameters `step`, to which the `observations` of `cells` led.
+    fn error(
+        &self,
+        observations: &[Observation],
+        cells: &[Cell],
+        step: &DVector<f64>,
+        size: (usize, usize),
+    ) -> Option<f64> {
+        let block = |indices: Vec<usize>| {
+            let (a, b) = self.equations(indices.iter().map(|&i| (&observations[i], weight(&observations[i], step))));
+            let score = &a * step + b;
+            (a, score)
+        };
+        let scores: Vec<Block> = blocks(cells.iter().map(|cell| cell.centre), size).into_iter().map(block).collect();
+        let prior = self.prior(step, CORRELATION_FACTOR).0;
+        Some(self.basis.expected_error(&covariance(&scores, &prior, CORRELATION_FACTOR)?))
     }
 }

@@ -12,6 +12,7 @@
 use crate::align::agreement::pattern::PEAK_BIAS;
 use crate::align::agreement::{MOST_STILL, TileDisplacement};
 use crate::align::grey::measured_level;
+use crate::align::local::areas::areas;
 use crate::align::local::cell::{Cell, precision};
 use crate::align::local::matching::Matches;
 use crate::align::local::{dominant, matching};
@@ -98,15 +99,25 @@ impl LocalField {
         let (width, height) = pair.size();
         let h = on_level(&transform.matrix(width, height), level);
         let size = pair.reference().size(level);
+        let shown = |[x, y]: [f64; 2]| {
+            let (u, v) = map(&h, x, y);
+            u >= 0.0 && v >= 0.0 && u <= (size.0 - 1) as f64 && v <= (size.1 - 1) as f64
+        };
         let near = matching::near(pair, &h);
-        let field =
-            LocalField { h, level, size, overlap: NEAR.overlap, cells: smoothed(&near, NEAR), still: near.still() };
+        let field = LocalField {
+            h,
+            level,
+            size,
+            overlap: NEAR.overlap,
+            cells: smoothed(&near, NEAR, shown),
+            still: near.still(),
+        };
         let displaced = field.lengths_px().filter(|&px| px >= SUSPICIOUS_PX).count() + near.unmatched();
         if displaced as f64 <= SUSPICIOUS * (field.cells.len() + near.unmatched()) as f64 {
             return field;
         }
         let far = matching::far(pair, &h);
-        LocalField { overlap: FAR.overlap, cells: smoothed(&far, FAR), still: far.still(), ..field }
+        LocalField { overlap: FAR.overlap, cells: smoothed(&far, FAR, shown), still: far.still(), ..field }
     }
 
     /// Returns this field with displacements from the [dominant motion](dominant) instead of the present transform, and
@@ -116,7 +127,7 @@ impl LocalField {
         if self.cells.len() < LEAST_CELLS || self.misfit().rms_px < LEAST_MISFIT_PX {
             return None;
         }
-        let found = dominant::search(&self.cells, &self.h, self.size, self.scale(), self.overlap)?;
+        let found = dominant::search(&self.cells, &self.h, self.size, self.scale())?;
         let back = found.h.try_inverse()? * self.h;
         let moved = |cell: &Cell| {
             let ([x, y], [dx, dy]) = (cell.centre, cell.displacement);
@@ -196,8 +207,9 @@ impl Sum {
 }
 
 /// Returns the cells, each from the weighted sum of the matches around it. The weight of a match depends on its
-/// distance from the peak of the sum around the match itself. Sums and weights are computed alternately.
-fn smoothed(matches: &Matches, neighbourhood: Neighbourhood) -> Vec<Cell> {
+/// distance from the peak of the sum around the match itself. Sums and weights are computed alternately. `shown` tells
+/// whether the frame shows a position of the reference.
+fn smoothed(matches: &Matches, neighbourhood: Neighbourhood, shown: impl Fn([f64; 2]) -> bool) -> Vec<Cell> {
     let Neighbourhood { radius, overlap } = neighbourhood;
     let known: Vec<Option<TileDisplacement>> = matches.all.iter().map(|m| m.and_then(|m| m.displacement())).collect();
     let around = |i: usize| {
@@ -236,9 +248,17 @@ fn smoothed(matches: &Matches, neighbourhood: Neighbourhood) -> Vec<Cell> {
             displacement: sums[i].peak(),
             precision: precision(sums[i].sharpness, agreeing.max(1) as f64, overlap.max(1.0) * variance),
             agrees: agreeing as f64 >= LEAST_AGREEING * all as f64,
+            area: 0.0,
         })
     };
-    known.iter().enumerate().filter_map(cell).collect()
+    let mut cells: Vec<Option<Cell>> = known.iter().enumerate().map(cell).collect();
+    let has_cell: Vec<bool> = cells.iter().map(Option::is_some).collect();
+    let areas = areas(&has_cell, matches.columns, |i| shown(matches.centre(i)));
+    let mean = areas.iter().sum::<usize>() as f64 / has_cell.iter().filter(|&&has| has).count() as f64;
+    for (cell, area) in cells.iter_mut().zip(areas) {
+        cell.iter_mut().for_each(|cell| cell.area = area as f64 / mean.max(1e-9));
+    }
+    cells.into_iter().flatten().collect()
 }
 
 /// The squared distance r^T S^-1 r of a match from the displacement `d`, where S is the sharpness of the match and r =

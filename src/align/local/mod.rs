@@ -10,6 +10,7 @@
 //! their displacement is searched within a few pixels only. Near objects, rolling shutter and moving things displace
 //! smaller parts of the picture, by more pixels. The patches of this module are smaller and searched farther.
 
+mod areas;
 mod cell;
 mod dominant;
 mod field;
