@@ -146,8 +146,9 @@ pub fn xor_curves(
     }
 }
 
-/// Returns the angles of the curve, in degrees. They cover at least the range of the bitmap search (`most` in either
-/// direction, to within one [`ANGLE_STEP`]), and are closer together near the angle `found`, which is one of them.
+/// Returns the angles of the curve, in degrees: the multiples of [`ANGLE_STEP`] up to a largest angle, clockwise and
+/// counterclockwise. The largest angle is `most` (the limit of the bitmap search), 1 degree, or 1.2 times the angle
+/// `found`, whichever is the largest. Finer steps are added around `found`, which is itself one of the angles.
 fn angles(found: f64, most: f64) -> Vec<f64> {
     let reach = most.max(1.0).max(1.2 * found.abs());
     let coarse = (reach / ANGLE_STEP).floor() as i64;

@@ -119,8 +119,9 @@ fn blend(upper: (f32, f32), lower: (f32, f32), (fx, fy): (f32, f32)) -> f32 {
 /// Length, in pixels, of the parts of a row within which positions are interpolated linearly.
 const PIECE: usize = 16;
 
-/// Root mean square of the displacements of best matches where nothing is displaced, in pixels of the planes. Their cause
-/// is interpolation, and that the peak is approximated by a parabola. Measured on rendered brackets of planar scenes.
+/// Error of the measured displacement of a tile, in pixels of the planes: root mean square over tiles that are not
+/// displaced. The error has two causes: interpolation, and the paraboloid that approximates the peak of the
+/// correlation. Measured on rendered brackets of planar scenes.
 pub(crate) const PEAK_BIAS: f64 = 0.03;
 
 /// The paraboloid through the correlations around a tile's best match.

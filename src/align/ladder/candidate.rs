@@ -24,8 +24,10 @@ pub(crate) struct Candidate {
     /// The error estimate of the method that found the transform, and the error of the picture that the frame was aligned
     /// to, in pixels of the full size.
     pub(crate) noise_px: f64,
-    /// The displacement of the tiles, less its least error, in pixels of the full size: the root mean square of what they
-    /// have in common, or, with few tiles, the median.
+    /// The displacement of the tiles without the least error of its measurement, in pixels of the full size; at least
+    /// 0. With enough tiles for a fit, it is sqrt(m^2 - e^2), where m is the distance of the fitted transform from
+    /// `transform` ([`TileFit::moved`]), and e the least error of the fit ([`TileFit::least_error`]). With fewer tiles,
+    /// it is the median displacement of the agreeing tiles minus [`TILE_NOISE_PX`].
     pub(crate) tiles_px: f64,
     /// The part of the displacement of the tiles that its expected error does not explain.
     pub(crate) excess_px: f64,
@@ -53,7 +55,9 @@ impl Candidate {
     }
 
     /// A cautious estimate of the error, in the same unit, for decisions. Nearly the whole displacement of the tiles
-    /// counts: under a wrong transform it is large, but so is its expected error.
+    /// counts. [`error_px`](Self::error_px) counts only the part that the expected error of the displacement does not
+    /// explain. Under a wrong transform, this expected error is also large, and could explain most of a large
+    /// displacement.
     pub(super) fn most_px(&self) -> f64 {
         (self.noise_px * self.noise_px + self.tiles_px * self.tiles_px).sqrt()
     }

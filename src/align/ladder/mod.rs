@@ -59,7 +59,8 @@ pub(crate) struct Search<'a> {
     /// Largest number of frames whose features are detected at the same time.
     pub(crate) detected_at_once: usize,
     pub(crate) reference: usize,
-    /// For each frame, its placement if the user or a file preset it, or if the flash excluded it; otherwise none.
+    /// For each frame, the placement that was set before the alignment; otherwise none. The user or a file of
+    /// transforms sets it, or the frame is excluded because its flash fired.
     pub(crate) given: &'a [Option<Found>],
     pub(crate) options: &'a AlignOptions,
     /// The local check of each frame that the bitmaps aligned without doubt, made while its planes were in memory.

@@ -35,8 +35,8 @@ const STILL: (f64, f64) = (0.005, 0.05);
 const LEAST_POINTS: usize = 50;
 /// The actual error, divided by the error that would result if the noise of all pixels were independent. In fact,
 /// smoothing, JPEG and aliasing correlate the noise of neighbouring pixels. Used to weight the prior against the
-/// pixels. Measured on rendered brackets. (The error estimate depends on this value through the prior, and where few
-/// blocks have detail: see [`covariance`].)
+/// pixels. Measured on rendered brackets. The error estimate depends on this value in two ways: through the prior, and,
+/// if only few blocks have detail, directly (see [`covariance`]).
 const NOISE_FACTOR: f64 = 4.0;
 /// Number of points that a thread processes at a time.
 const PIECE: usize = 1024;

@@ -7,8 +7,8 @@
 //!
 //! The residuals of neighbouring points are not independent. Smoothing, JPEG and aliasing correlate them. Where the
 //! model does not fit, because of the tones, the lens or a thing that moved, neighbouring residuals have the same sign.
-//! Therefore the picture is divided into blocks. Each block is left out in turn, and the scatter of the parameters that
-//! the other blocks give is the measure of their error.
+//! Therefore the picture is divided into blocks. Each block is left out in turn, and the parameters that follow from
+//! the other blocks are computed. The scatter of these parameters is the measure of their error.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -44,16 +44,22 @@ pub(crate) fn blocks(places: impl Iterator<Item = [f64; 2]>, size: (usize, usize
     blocks
 }
 
-/// Returns the covariance of the parameters after they were fitted, that is, where the sum of all scores and of the
-/// pull of the prior is zero.
+/// Returns the covariance of the parameters. The parameters must already be fitted: the scores of all blocks and of the
+/// prior add up to zero.
 ///
-/// `prior` is the matrix P of the prior in the normal equations, `factor`^2 times its actual one (see
-/// [`add_prior`](super::Increment::add_prior)). The derivative of the scores by the parameters is D = [`CURVATURE`] A +
-/// P. If block k, with the matrix A_k and the score s_k, is left out, the scores no longer cancel, and the parameters
-/// change by d_k = (D - [`CURVATURE`] A_k)^-1 s_k. The covariance is (B - 1) / B times the sum of (d_k - m) (d_k - m)^T
-/// over the B blocks, where m is the mean of d_k, plus the part of the prior, `factor`^2 D^-1 P D^-1. There, P is
-/// multiplied by `factor`^2 once more, because it is a variance: scaling the scores of the prior by `factor`^2 scales
-/// their variance by `factor`^4. Finally, the covariance is multiplied by the square of [`BETWEEN_BLOCKS`].
+/// `prior` is the matrix P that [`add_prior`](super::Increment::add_prior) adds to the normal equations. P is the
+/// inverse covariance of the prior, multiplied by `factor`^2. The derivative of the scores by the parameters is D =
+/// [`CURVATURE`] A + P, where A is the sum of the matrices of all blocks. If block k, with the matrix A_k and the score
+/// s_k, is left out, the scores no longer cancel, and the parameters change by d_k = (D - [`CURVATURE`] A_k)^-1 s_k.
+/// The covariance is the sum of two parts:
+///
+/// - from the blocks: (B - 1) / B times the sum of (d_k - m) (d_k - m)^T over the B blocks, where m is the mean of d_k;
+/// - from the prior: D^-1 V D^-1, where V = `factor`^2 P is the variance of the score of the prior. Without the
+///   multiplication by `factor`^2, this variance would be the inverse covariance of the prior, P / `factor`^2. The
+///   multiplication makes the score `factor`^2 times as large, and so its variance `factor`^4 times as large.
+///
+/// The sum is multiplied by the square of [`BETWEEN_BLOCKS`]. If only few blocks have detail, the covariance that
+/// independent noise would cause, multiplied by `factor`^2, is added.
 pub(crate) fn covariance(blocks: &[Block], prior: &DMatrix<f64>, factor: f64) -> Option<DMatrix<f64>> {
     let n = prior.nrows();
     let whole = blocks.iter().fold(prior.clone(), |sum, (matrix, _)| sum + matrix * CURVATURE);
@@ -72,8 +78,8 @@ pub(crate) fn covariance(blocks: &[Block], prior: &DMatrix<f64>, factor: f64) ->
         covariance += &off * off.transpose() * ((count - 1.0) / count);
     }
     covariance *= BETWEEN_BLOCKS * BETWEEN_BLOCKS;
-    // Few blocks do not show how different they are. The error is then taken from noise, as if it were independent, but
-    // `factor` times as large.
+    // The scatter of only a few blocks says little about the error. Therefore the error that independent noise would
+    // cause is added, `factor` times as large.
     if blocks.iter().filter(|(matrix, _)| matrix.trace() > 0.0).count() <= n {
         let data = blocks.iter().fold(DMatrix::zeros(n, n), |sum, (matrix, _)| sum + matrix);
         covariance += &inverse * data * &inverse * (factor * factor);
@@ -92,8 +98,8 @@ mod tests {
         random(draw, i as u64, 0) as f64 / u64::MAX as f64 - 0.5
     }
 
-    /// The blocks of a problem with two parameters and SIDE x SIDE observations of precision 1. The observations form
-    /// groups of `alike` successive ones; all of a group have the same derivatives and the same residual.
+    /// The blocks of a problem with two parameters and SIDE x SIDE observations of precision 1. Successive observations
+    /// form groups of the size `alike`. All observations of a group have the same derivatives and the same residual.
     fn problem(alike: usize) -> Vec<Block> {
         let places = (0..SIDE * SIDE).map(|i| [(i % SIDE) as f64, (i / SIDE) as f64]);
         let block = |indices: Vec<usize>| {
