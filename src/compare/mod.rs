@@ -145,8 +145,8 @@ pub struct Largest {
     pub x_px: usize,
     /// Row of the pixel.
     pub y_px: usize,
-    /// For radiance, the difference in the channel where it is largest; null if a value is NaN or infinite, and
-    /// different in the two files.
+    /// For radiance, the difference in the channel where it is largest. Null if the expected and the actual value of a
+    /// channel differ and are not both finite.
     pub stops: Option<f64>,
     /// For pictures, the difference by CIEDE2000.
     pub de: Option<f64>,
@@ -180,7 +180,8 @@ pub struct RadianceDifference {
     pub rms_stops: f64,
     /// Signed mean difference over all channels.
     pub mean_stops: f64,
-    /// Number of pixels that are NaN or infinite, and different in the two files; they are excluded from the means.
+    /// Number of pixels with a channel whose expected and actual values differ and are not both finite. These pixels
+    /// are excluded from the means.
     pub not_comparable_pixels: usize,
     /// Luminance of radiance 1 in cd/m2, used for PU21. If the expected file is calibrated, it follows from that file.
     /// Otherwise it is chosen so that the 99.9th percentile of the expected luminance is 1000.
@@ -275,8 +276,8 @@ impl Comparison {
     }
 }
 
-/// The difference of every pixel in `unit`; [`f32::INFINITY`] if a pixel is NaN or infinite, and different in the two
-/// files.
+/// The difference of every pixel in `unit`. It is [`f32::INFINITY`] if the expected and the actual value of a channel
+/// differ and are not both finite.
 #[derive(Debug, Clone)]
 struct Magnitudes {
     plane: Plane<f32>,

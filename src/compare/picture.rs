@@ -41,7 +41,8 @@ const TEXT: f64 = 16.0;
 /// Number of decades that the scale of the false colours covers.
 const DECADES: f64 = 3.0;
 
-/// Colour of pixels that one of the files does not have, or that are NaN or infinite, and different in the two files.
+/// Colour of pixels that only one of the files has, and of pixels that differ and are NaN or infinite in at least one
+/// file.
 const NOTHING: Colour = Colour(255, 0, 200);
 /// Colours below the tolerance: dark to light blue.
 const WITHIN: [[f64; 3]; 2] = [[20.0, 40.0, 110.0], [90.0, 160.0, 235.0]];
@@ -192,7 +193,7 @@ fn legend(drawing: &mut Drawing, y: f64, (room, zoom): (f64, f64), scale: Option
     let beyond = if scale.tolerance > 0.0 { "beyond" } else { "not equal" };
     next = sample(drawing, next, Colour::between(&BEYOND, 0.5), beyond);
     if scale.has_nothing {
-        next = sample(drawing, next, NOTHING, "NaN or infinite, and different in the two files");
+        next = sample(drawing, next, NOTHING, "different, with NaN or infinity");
     }
     drawing.text((next, below + 16.0 * zoom), text, Anchor::Start, Colour::FAINT, "ring: the largest");
 }

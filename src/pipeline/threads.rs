@@ -36,7 +36,8 @@ pub(super) fn in_own_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -
 }
 
 /// Starts the global thread pool with `threads` threads, or with rayon's default (one per core) if it is `None`, unless
-/// the pool exists. Code that computes on the global pool without this call panics if the system refuses threads.
+/// the pool exists. Must be called before code that computes on the global pool. Otherwise that code panics if the
+/// system refuses threads.
 ///
 /// # Errors
 /// [`Error::Threads`].

@@ -153,9 +153,9 @@ fn sweep(samples: &[Vec<SweepView>], trust: &[f64], g: &[f64; CODES], smoothness
 }
 
 /// Returns the values u that minimise sum_z n_z (u_z - c_z / n_z)^2 + lambda sum_z (u_{z-1} - 2 u_z + u_{z+1})^2. n_z
-/// is the weight of the views at code z, and c_z their weighted sum. Codes without views are interpolated by cubics;
-/// before the first and after the last code with views, they are extrapolated linearly. Solves a pentadiagonal system
-/// by L D L'.
+/// is the total weight of the views at code z. c_z is the weighted sum of the relative errors t x / I - 1 of these
+/// views, so c_z / n_z is the mean of these errors. Codes without views are interpolated by cubics. Before the first
+/// and after the last code with views, they are extrapolated linearly. Solves a pentadiagonal system by L D L'.
 fn whittaker(n: &[f64; CODES], c: &[f64; CODES], lambda: f64) -> [f64; CODES] {
     let (mut diagonal, mut first, mut second) = (*n, [0.0; CODES], [0.0; CODES]);
     for z in 1..CODES - 1 {

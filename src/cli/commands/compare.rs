@@ -168,7 +168,7 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
         let off = match (largest.stops, largest.de) {
             (Some(stops), _) => format!("{stops:.3} stops"),
             (_, Some(de)) => format!("dE {de:.2}"),
-            _ => "NaN or infinite, and different in the two files".into(),
+            _ => "not finite (at least one of the files has NaN or infinity)".into(),
         };
         let values = |rgb: [Option<f64>; 3]| rgb.map(|v| v.map_or("-".into(), number)).join(" ");
         let (expected, actual) = (values(largest.expected), values(largest.actual));
@@ -185,7 +185,7 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
             row(
                 "odd",
                 format!(
-                    "{} pixels are NaN or infinite, and different in the two files",
+                    "{} pixels are different, and NaN or infinite in at least one of the files",
                     radiance.not_comparable_pixels
                 ),
             );

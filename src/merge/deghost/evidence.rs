@@ -1,9 +1,9 @@
-//! Evidence of motion: differences between a frame and the pixels that it is compared with, called the standard, that
-//! are larger than errors of noise, response and alignment.
+//! Evidence of motion: places where a frame differs from the standard by more than errors of noise, response and
+//! alignment explain.
 //!
-//! In: cells of a frame and of the standard. The standard is the reference frame, or, where the reference is clipped,
-//! black or noisy, another frame that agrees with it. Out: for each cell whether it moved. Cost: some 100 ns per cell,
-//! and 100 ns more for a cell that differs.
+//! In: cells of a frame, and cells of the standard that the frame is compared with. The standard is the reference
+//! frame, or, where the reference is clipped, black or noisy, another frame that agrees with the reference. Out: for
+//! each cell whether it moved. Cost: some 100 ns per cell, and 100 ns more for a cell that differs.
 //!
 //! The difference of a cell and channel is divided by its standard deviation: the root of the sum of the squares of
 //!
@@ -11,11 +11,16 @@
 //! - a share of the radiance, explained below;
 //! - the gradient times `ASTRAY` pixels, for errors of alignment and differences of sharpness at edges.
 //!
-//! The share of the radiance is at least `LEAST`, because response and exposures are not known more exactly. In cells
-//! with a clipped channel it is at least `SHIFTED`, because the camera mixes that channel into the other channels. If
-//! the [usual](super::usual) spread of the ratio of frame to standard is larger, the share is that spread. (The usual
-//! bias of the ratio is divided out first.) To this, `LEAST` times the difference between the brightest channel and
-//! this channel is added, because cameras and JPEG mix the channels differently at each exposure.
+//! The share of the radiance is the sum of two terms. The first term is the radiance times the largest of these
+//! fractions:
+//!
+//! - `LEAST`, because response and exposures are not known more exactly;
+//! - in cells with a clipped channel, `SHIFTED`, because the camera mixes that channel into the other channels;
+//! - the [usual](super::usual) spread of the ratio of frame to standard. (The usual bias of the ratio is divided out
+//!   first.)
+//!
+//! The second term is `LEAST` times the difference between the brightest channel and this channel, because cameras and
+//! JPEG mix the channels differently at each exposure.
 //!
 //! A clipped or black cell is only a bound of the radiance, and differs only if the bound is violated. Differences are
 //! averaged over larger and larger cells, and the strongest of these means decides how much the cell differs. A cell

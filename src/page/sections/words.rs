@@ -117,7 +117,7 @@ fn alignment(report: &Report) -> String {
         words += &match (was_off, unmoved.clone().next(), assumed.count()) {
             (true, ..) => "The frames were not aligned, as set by <code>--align none</code>.".to_owned(),
             (false, Some(_), 0) => "No frame was moved.".to_owned(),
-            // An assumed position may be a moved one.
+            // The assumed transform of a frame may contain motion. So only the unmoved frames are listed.
             (false, Some(_), _) => format!("Not moved: {}.", named(unmoved)),
             (false, None, _) => "No frame was aligned to the reference.".to_owned(),
         };

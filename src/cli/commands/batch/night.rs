@@ -196,10 +196,11 @@ pub fn open_home(path: &Path, args: &Args) -> Result<PathBuf, Error> {
     Ok(home)
 }
 
-/// The photographs in no bracket and the folders that cannot be read: all without results of hdralign, and those that
-/// cannot be read.
+/// The photographs in no bracket, and the folders that cannot be read.
 pub struct LeftOver<'a> {
+    /// All of these photographs and folders, except the results of hdralign.
     entries: Vec<&'a find::LeftOver>,
+    /// Those of the entries that cannot be read.
     unreadable: Vec<&'a find::LeftOver>,
 }
 
