@@ -132,7 +132,7 @@ pub enum Error {
     },
     /// No part of the reference is in all frames.
     #[error(
-        "{}: no part of {} is in all frames, and this frame covers least of it; exclude it with --leave-out (in a batch, use `hdralign merge` for this), or correct its transform if it is from a file of transforms",
+        "{}: no part of {} is in all frames, and this frame covers the smallest part of the reference; exclude this frame with --leave-out (in a batch, use `hdralign merge` for this), or correct the transform of this frame if you gave a file of transforms",
         path.display(),
         reference.display()
     )]
@@ -332,7 +332,7 @@ fn write_remedy(source: &io::Error) -> &'static str {
         InvalidFilename => "; give it a shorter name",
         // These errors concern only folders; an existing output is reported as `Error::OutputExists`.
         AlreadyExists | NotADirectory => {
-            "; a file has the name of a folder in this path: choose another folder, or move the file"
+            "; there is a file where this path needs a folder: choose another folder, or move the file"
         }
         IsADirectory if source.raw_os_error().is_some() => {
             "; a folder has that name: move it away, or choose another name"

@@ -23,7 +23,11 @@ enum Field {
 
 /// For each field: its name as the user types it, the field, and its description in the help.
 const FIELDS: [(&str, Field, &str); 9] = [
-    ("folder", Field::Folder, "the folder of the photographs, relative to the searched folder or its parent"),
+    (
+        "folder",
+        Field::Folder,
+        "the folder of the photographs, relative to the searched folder. With -d and brackets in\n             several searched folders, it begins with the name of the searched folder",
+    ),
     ("first", Field::First, "the first photograph by name, without extension"),
     ("last", Field::Last, "the last photograph by name, without extension"),
     ("number", Field::Number, "the bracket's number, from 0001"),
@@ -47,7 +51,8 @@ pub struct Template(Vec<Part>);
 /// The values of the fields for one bracket. In the name, a value that is not known becomes `unknown`.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Values {
-    /// The folder of the photographs, relative to the searched folder or to the parent of the searched folder.
+    /// The folder of the photographs, relative to the searched folder. If several folders were searched, it may begin
+    /// with the name of the searched folder.
     pub folder: PathBuf,
     /// File name without extension of the photograph that is first in the order of names.
     pub first: OsString,

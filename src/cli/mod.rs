@@ -65,7 +65,7 @@ enum Command {
 const AFTER_HELP: &str = "\
 Exit codes:
   0  done
-  1  failed, nothing written; or only stdout failed, and the files are complete
+  1  failed, and nothing was written; if only printing to stdout failed, the files are complete
   2  wrong usage
   3  written, but degraded; only with --strict, which `hdralign merge --help` explains
   compare: 0 same, 1 different, 2 error

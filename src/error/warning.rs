@@ -29,7 +29,7 @@ pub enum Warning {
     },
     /// A frame is too dark or too bright to be aligned; its transform is assumed from those of the other frames.
     #[error(
-        "{}: too {} to be aligned ({reason}): its transform is assumed from the other frames, within {error_px:.1} px, and in the radiance it fills only what is {} in the other frames; exclude it with --leave-out (in a batch, use `hdralign merge` for this)",
+        "{}: too {} to be aligned ({reason}): its transform is assumed from the other frames, within {error_px:.1} px; the radiance uses this frame only where the other frames are {}; exclude this frame with --leave-out (in a batch, use `hdralign merge` for this)",
         path.display(),
         if *is_dark { "dark" } else { "bright" },
         if *is_dark { "clipped" } else { "black" }
@@ -48,7 +48,7 @@ pub enum Warning {
     },
     /// A frame was aligned with low confidence.
     #[error(
-        "{}: aligned with low confidence ({confidence:.2}){}; check the result, or exclude it with --leave-out (in a batch, use `hdralign merge` for this)",
+        "{}: aligned with low confidence ({confidence:.2}){}; check the result, or exclude this frame with --leave-out (in a batch, use `hdralign merge` for this)",
         path.display(), displaced_words(*displaced_fraction, *displaced_px)
     )]
     LowConfidence {
@@ -63,7 +63,7 @@ pub enum Warning {
     },
     /// The largest rectangle that all merged frames cover is less than half of the reference.
     #[error(
-        "{}: the largest rectangle that all frames cover is only {:.0} % of the reference (that of this frame alone: {:.0} %); exclude it with --leave-out (in a batch, use `hdralign merge` for this), or keep the whole reference with --crop none (merge, align and batch)",
+        "{}: the largest rectangle that all frames cover is only {:.0} % of the reference (this frame alone covers a rectangle of {:.0} %); exclude this frame with --leave-out (in a batch, use `hdralign merge` for this), or keep the whole reference with --crop none (merge, align and batch)",
         path.display(),
         100.0 * common,
         100.0 * overlap

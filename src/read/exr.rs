@@ -55,7 +55,10 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
         let mut all = layers.iter().flat_map(|layer| &layer.channel_data.list).map(|c| c.name.to_string());
         let mut names: Vec<String> = all.by_ref().take(8).collect();
         names.extend(all.next().map(|_| "...".to_owned()));
-        return Err(format!("it needs the channels R, G and B, or Y, in one part, but has {}", names.join(", ")));
+        return Err(format!(
+            "it needs R, G and B in the same part (layer) of the file, or else Y; its channels are {}",
+            names.join(", ")
+        ));
     };
     if channels.iter().any(|c| c.sampling != Vec2(1, 1)) {
         return Err("its chroma channels are subsampled; convert it to RGB first".into());

@@ -52,16 +52,17 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
                 let all = factor.and_then(|factor| metadata.exposure_scale.times(factor));
                 metadata.exposure_scale = all.ok_or_else(|| {
                     format!(
-                        "its EXPOSURE is `{value}`; it and the product of all EXPOSURE lines must stay between 1e-20 \
-                         and 1e20"
+                        "its header has `EXPOSURE={value}`; every EXPOSURE, and the product of all, must be a number \
+                         from 1e-20 to 1e20; correct the header, or write the file again"
                     )
                 })?;
             }
             "COLORCORR" => {
                 corrections = corrected(corrections, value).ok_or_else(|| {
                     format!(
-                        "its COLORCORR is `{value}`; three factors are required, and they and the products of all \
-                         COLORCORR lines must stay between 1e-20 and 1e20"
+                        "its header has `COLORCORR={value}`; every COLORCORR must be three factors; the factors, and \
+                         their products over all COLORCORR lines, must be from 1e-20 to 1e20; correct the header, or \
+                         write the file again"
                     )
                 })?;
             }

@@ -62,7 +62,7 @@ const POWER: RangeInclusive<f64> = 0.5..=2.0;
 pub struct Options {
     /// Largest number of places for each channel; 24 or more.
     pub samples: usize,
-    /// Degree of the polynomial, 1 to 10; `None` for the smallest from 3 on that fits.
+    /// Degree of the polynomial, 1 to 10; `None` for the smallest degree from 3 to 10 that fits.
     pub degree: Option<usize>,
 }
 

@@ -107,7 +107,9 @@ fn small_overlap_is_a_warning_and_no_overlap_an_error() {
         let run = folder.line("merge w2.jpg w3.jpg w4.jpg --transforms t.json -o a.exr --json --strict");
         assert_eq!(run.code, 3, "{run:?}");
         assert!(
-            run.stderr.contains("of the reference (that of this frame alone: 17 %); exclude it with --leave-out"),
+            run.stderr.contains(
+                "of the reference (this frame alone covers a rectangle of 17 %); exclude this frame with --leave-out"
+            ),
             "{run:?}"
         );
         let width = report(&run.stdout)["crop"]["width_px"].as_u64().expect("a width");

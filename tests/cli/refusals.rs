@@ -236,9 +236,9 @@ fn folders_are_left_to_batch() {
         refused(&folder, line, 1, &["it is a folder", "./*.jpg", "`hdralign batch .`"]);
     }
     for (line, said) in [
-        ("batch . --by-folder -d w1.jpg", "has the name of a folder in this path"),
-        ("batch . --by-folder -d w1.jpg/out", "has the name of a folder in this path"),
-        ("man w1.jpg", "has the name of a folder in this path"),
+        ("batch . --by-folder -d w1.jpg", "there is a file where this path needs a folder"),
+        ("batch . --by-folder -d w1.jpg/out", "there is a file where this path needs a folder"),
+        ("man w1.jpg", "there is a file where this path needs a folder"),
         ("inspect w2.jpg w3.jpg -d w1.jpg", "it is a file, not a folder; give a folder with -d"),
     ] {
         refused(&folder, line, 1, &["w1.jpg", said]);

@@ -172,7 +172,7 @@ impl fmt::Display for Reason {
             Reason::OtherSize(own, others) => {
                 write!(
                     f,
-                    "it has {}x{} pixels, but of its folder only photographs with {}x{} are considered",
+                    "it has {}x{} pixels, but only photographs with {}x{} pixels are considered in its folder",
                     own.0, own.1, others.0, others.1
                 )
             }

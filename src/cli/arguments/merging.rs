@@ -57,7 +57,8 @@ pub struct Merging {
     /// Scale the radiance to cd/m2, computed from the exposure of the reference frame (accurate to about half a stop)
     ///
     /// The largest possible pixel value (255, or 65535 with 16 bits) in the reference frame stands for 87 N^2 / (t ISO)
-    /// cd/m2 (N: f-number, t: exposure time in s). With -e, 2^EV is used instead of t ISO / N^2
+    /// cd/m2, where N is the f-number and t the exposure time in s. With -e, this pixel value stands for 87 / 2^EV
+    /// cd/m2, where EV is the exposure that you give for the reference frame
     #[arg(long, hide_short_help = true)]
     absolute: bool,
 

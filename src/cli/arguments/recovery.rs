@@ -15,8 +15,8 @@ pub struct Recovery {
     #[arg(long, hide_short_help = true, value_parser = choice::<ResponseModel>(), default_value_t, value_name = "MODEL")]
     response_model: ResponseModel,
 
-    /// Set the degree of the polynomial of mitsunaga-nayar, 1 to 10; for experts [default: the smallest from 3 on that
-    /// fits]
+    /// Set the degree of the polynomial of mitsunaga-nayar, 1 to 10; for experts [default: the smallest degree from
+    /// 3 to 10 that fits]
     #[arg(long, hide_short_help = true, value_name = "N")]
     response_degree: Option<usize>,
 

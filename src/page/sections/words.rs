@@ -126,12 +126,12 @@ fn alignment(report: &Report) -> String {
     let count = assumed.clone().count();
     if count > 0 {
         words += &format!(
-            " {} {} too dark or too bright to be aligned. {} position was estimated from the other frames, and in the \
-             radiance {} only what is clipped or black in the other frames.",
+            " {} {} too dark or too bright to be aligned. {} position was estimated from the other frames. The radiance \
+             uses {} only where the other frames are clipped or black.",
             named(assumed),
             if count == 1 { "is" } else { "are" },
             if count == 1 { "Its" } else { "Their" },
-            if count == 1 { "it fills" } else { "they fill" }
+            if count == 1 { "it" } else { "them" }
         );
     }
     if let Some(path) = &report.transforms_from {

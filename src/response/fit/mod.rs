@@ -103,8 +103,8 @@ pub fn enough(samples: usize) -> Result<()> {
 pub fn check(samples: &[Sample]) -> Fitted<()> {
     if samples.len() < FEWEST {
         return Err(format!(
-            "only {} places can be used; at least {FEWEST} are needed, in smooth areas that are neither clipped nor \
-             black in at least two frames",
+            "only {} places can be used, but at least {FEWEST} are needed; usable places are in smooth areas, and at \
+             least two frames show them neither clipped nor black",
             samples.len()
         ));
     }
@@ -117,8 +117,8 @@ pub fn check(samples: &[Sample]) -> Fitted<()> {
     }
     if codes.1 - codes.0 < SPAN {
         return Err(format!(
-            "the places used, in smooth areas, have only pixel values from {:.0} to {:.0}; \
-             a range of at least {SPAN} is needed",
+            "the usable places have only pixel values from {:.0} to {:.0}; a range of at least {SPAN} is needed, in \
+             smooth areas",
             codes.0, codes.1
         ));
     }

@@ -12,9 +12,9 @@
 //! 2. The exposures are fused; black and white are set near the darkest and brightest values of the fused picture.
 //! 3. A contrast curve is applied. A power function darkens the picture if the longest exposure is dark. If the
 //!    photographs are not known, this function also aims at the brightness of a typical photograph.
-//! 4. Linear functions carry luminance from the grid to the pixels (`guide`). A pixel gets the colour that it would have
-//!    in a photograph that shows it with the same luminance. If the photographs are not known, the hue is nearly that of
-//!    the scene, and chroma is never increased.
+//! 4. Linear functions carry luminance from the grid to the pixels (`guide`). A pixel gets the colour that it would
+//!    have in a photograph that shows it with the same luminance. If the photographs are not known, the hue is nearly
+//!    that of the scene, and chroma is never increased.
 //!
 //! The constants below were chosen by eye and in blind comparisons on sixteen photographed brackets.
 

@@ -53,7 +53,7 @@ impl Options {
                 "beta",
                 (0.6, 1.0),
                 &mut self.beta,
-                "exponent applied to gradients / alpha: smaller values weaken strong gradients more",
+                "exponent of each gradient divided by alpha; smaller values weaken strong gradients more",
             ),
             Setting::number(
                 "noise",

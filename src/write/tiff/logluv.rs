@@ -104,11 +104,11 @@ impl RowWriter<[f32; 3]> for Writer {
         self.bands.complete().map_err(|e| self.strips.file.error(e))?;
         let (low, high) = self.depth.range();
         let larger = match self.depth {
-            Depth::Bits24 => "logluv32 and float have",
-            Depth::Bits32 => "float has",
+            Depth::Bits24 => "logluv32 or float",
+            Depth::Bits32 => "float",
         };
         let what = format!(
-            "of luminance are outside of {:.2e} to {:.3e} and were limited to 0 or the largest value; {larger} a larger range",
+            "of luminance are outside of the range from {:.2e} to {:.3e} and were set to 0 or to the largest value; for a larger range, give --tiff-encoding {larger}",
             low / self.scale,
             high / self.scale
         );
