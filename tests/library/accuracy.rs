@@ -112,10 +112,10 @@ fn misplaced(outcome: &Outcome) -> Vec<Misplaced> {
     found
 }
 
-/// Measured: mean errors of 0.013 to 0.045 px. The limit of 0.06 px allows for another tuning of the search, but not for
-/// a missing refinement: bitmaps alone have mean errors above 1 px here, features alone 0.07 to 0.25 px. At the corners,
-/// errors up to 0.17 px were measured; a homography with a wrong centre of rotation would have errors above the limit of
-/// 0.25 px there.
+/// Measured: mean errors of 0.013 to 0.045 px. The limit of 0.06 px allows for another tuning of the search, but not
+/// for a missing refinement: bitmaps alone have mean errors above 1 px here, features alone 0.07 to 0.25 px. At the
+/// corners, errors up to 0.17 px were measured; a homography with a wrong centre of rotation would have errors above
+/// the limit of 0.25 px there.
 #[test]
 fn every_frame_is_placed_to_well_under_a_tenth_of_a_pixel() {
     for frame in misplaced(by_default()) {
@@ -125,7 +125,8 @@ fn every_frame_is_placed_to_well_under_a_tenth_of_a_pixel() {
 
 /// The reported error is a standard error, so that of a single frame may be smaller or larger than the true one. On
 /// rendered brackets, it is about 0.5 to 4 times the true error for about 9 of 10 frames; measured here: 0.7 to 1.3
-/// times. A reported error that is too small misleads users, one that is too large only makes them check a good picture.
+/// times. A reported error that is too small misleads users, one that is too large only makes them check a good
+/// picture.
 #[test]
 fn the_stated_error_is_honest() {
     for frame in misplaced(by_default()) {
@@ -135,7 +136,7 @@ fn the_stated_error_is_honest() {
 }
 
 /// Shift and rotation cannot represent the perspective, which moves the corners by 5 to 10 px, so the bitmaps find a
-/// compromise. Measured: errors of 0.2 to 0.6 px at the centre; the limit is twice the largest.
+/// compromise. Measured: errors of 0.2 to 0.6 px at the centre; the limit is about twice the largest.
 #[test]
 fn bitmaps_alone_find_the_centre() {
     for frame in misplaced(&merged(AlignMode::Mtb)) {
