@@ -81,7 +81,7 @@ impl TileCheck {
     }
 
     /// Returns the evidence that distinguishes this transform from that of `other`:
-    /// [`evidence_over`](Self::evidence_over) minus the evidence that all tiles have in common.
+    /// [`evidence_over`](Self::evidence_over) minus evidence that most tiles have in common.
     ///
     /// Only parts of the picture that do not repeat distinguish the right transform from one that is shifted by a
     /// period. Interpolation, tones and the precision of the two refinements change the correlations of most tiles in

@@ -16,8 +16,8 @@ use nalgebra::{DMatrix, DVector, Matrix3};
 
 /// With fewer tiles than this, nothing is fitted.
 const LEAST_TILES: usize = 8;
-/// The actual error, divided by the error that would result if the errors of all tiles were independent, in scenes where
-/// the tiles match well.
+/// The actual error, divided by the error that would result if the errors of all tiles were independent, in scenes
+/// where the tiles match well.
 const CORRELATION_FACTOR: f64 = 1.5;
 /// Number of rounds of reweighting.
 const ROUNDS: usize = 5;
@@ -34,8 +34,8 @@ pub(crate) struct TileFit {
     /// [`PEAK_BIAS`].
     pub(crate) error: f64,
     /// The error of the fitted transform if the errors of the tiles were nearly independent (see
-    /// [`CORRELATION_FACTOR`]), in the same unit. Under a wrong transform, neighbouring tiles are displaced alike, so
-    /// that `error` is larger than this.
+    /// [`CORRELATION_FACTOR`]), in the same unit. Under a wrong transform, neighbouring tiles are often displaced
+    /// alike, in a way that no homography explains. Then `error` is larger than this.
     pub(crate) least_error: f64,
     /// The root mean square change of the parameters, divided by its least standard error. It is about 1 if the checked
     /// transform is right, because then only noise changes the parameters.

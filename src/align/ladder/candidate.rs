@@ -21,17 +21,18 @@ pub(crate) struct Candidate {
     pub(crate) transform: Transform,
     /// The check of the transform by tiles.
     pub(crate) tiles: Arc<TileCheck>,
-    /// The error estimate of the method that found the transform, and the error of the picture that the frame was aligned
-    /// to, in pixels of the full size.
+    /// The error estimate of the method that found the transform, and the error of the picture that the frame was
+    /// aligned to, in pixels of the full size; 0 if it is unknown or the frame is set to unmoved.
     pub(crate) noise_px: f64,
     /// The displacement of the tiles without the least error of its measurement, in pixels of the full size; at least
     /// 0. With enough tiles for a fit, it is sqrt(m^2 - e^2), where m is the distance of the fitted transform from
     /// `transform` ([`TileFit::moved`]), and e the least error of the fit ([`TileFit::least_error`]). With fewer tiles,
-    /// it is the median displacement of the agreeing tiles minus [`TILE_NOISE_PX`].
+    /// it is the median displacement of the agreeing tiles minus [`TILE_NOISE_PX`]. `reduce` may limit the value, or
+    /// keep that of a transform that tiles cannot distinguish from `transform`.
     pub(crate) tiles_px: f64,
     /// The part of the displacement of the tiles that its expected error does not explain.
     pub(crate) excess_px: f64,
-    /// Whether the transform was fitted to the displacements of the tiles; otherwise it was fitted to the pixels.
+    /// Whether the transform was fitted to the displacements of the tiles.
     pub(crate) by_tiles: bool,
     /// Confidence of the picture that the frame was aligned to (1 for the reference), times the uniqueness of the
     /// candidate among all candidates, 0..=1.
@@ -56,7 +57,7 @@ impl Candidate {
 
     /// A cautious estimate of the error, in the same unit, for decisions. Nearly the whole displacement of the tiles
     /// counts. [`error_px`](Self::error_px) counts only the part that the expected error of the displacement does not
-    /// explain. Under a wrong transform, this expected error is also large, and could explain most of a large
+    /// explain. Under a wrong transform, this expected error is often large too, and could explain most of a large
     /// displacement.
     pub(super) fn most_px(&self) -> f64 {
         (self.noise_px * self.noise_px + self.tiles_px * self.tiles_px).sqrt()
@@ -92,7 +93,7 @@ impl Candidate {
     }
 }
 
-/// Checks `transform` by tiles. `noise_px` is the error estimate of the method that found it.
+/// Checks `transform` by tiles. `noise_px` is the error estimate of the method that found it; 0 if it is unknown.
 pub(crate) fn evaluate(pair: &FramePair, transform: Transform, noise_px: f64) -> Candidate {
     evaluate_with_fit(pair, transform, noise_px).0
 }
@@ -134,7 +135,7 @@ pub(super) fn evaluate_with_fit(pair: &FramePair, transform: Transform, noise_px
 }
 
 /// Returns the part of a displacement d that its expected error e does not explain, in the same unit: d (1 - (e / d)^2),
-/// and 0 if d is less than e (similar to the estimate of James & Stein, 1961, whose factor is at least 0).
+/// and 0 if d is less than e (similar to the estimate of James & Stein, 1961, limited to 0 or more).
 fn excess(displacement: f64, error: f64) -> f64 {
     if displacement > error { (displacement * displacement - error * error) / displacement } else { 0.0 }
 }

@@ -43,9 +43,8 @@ pub(crate) fn reduce(pair: &FramePair, whole: Candidate) -> Candidate {
     if still <= UNMOVED_PX.max(uncertainty_px) {
         let unmoved = checked(Transform::Identity, 0.0, still);
         if unmoved.agreement().share() >= whole.agreement().share() - 0.02 {
-            // Under the identity, tiles are displaced by about `still`, the distance between the identity and the
-            // transform that was found. A larger displacement is limited to this distance, or to `SAME_PX` if that is
-            // larger.
+            // If the transform that was found is right, tiles are displaced by about `still` under the identity. A
+            // larger displacement is limited to `still`, or to `SAME_PX` if that is larger.
             let most = still.max(SAME_PX);
             let (tiles_px, excess_px) = (unmoved.tiles_px.min(most), unmoved.excess_px.min(most));
             return Candidate { tiles_px, excess_px, ..unmoved };

@@ -85,7 +85,7 @@ pub(super) const INFERRING_CONFIDENCE: f64 = 0.5;
 
 // The local check.
 
-/// If this share of the picture is displaced, the confidence is halved. The aim is a confidence below one half if 3 %
-/// of the picture are displaced. The value is smaller than 3 %, because the measured share is too small at edges of
-/// depth. Measured on rendered scenes.
+/// If the displaced share, less its standard error, is this large, the confidence is halved. The aim is a confidence
+/// below one half if 3 % of the picture are displaced. The value is smaller than 3 %, because the measured share is too
+/// small at edges of depth. Measured on rendered scenes.
 pub(super) const DISPLACED_HALVES: f64 = 0.025;

@@ -1,10 +1,10 @@
 //! Local displacements: the parts of a frame that a transform does not map to the right position.
 //!
 //! In: two frames and a transform. Out: the displacement of each cell of the picture from the position that the
-//! transform gives ([`LocalField`]), and the share of the picture that is displaced ([`Misfit`](field::Misfit)). Cost,
+//! transform gives ([`LocalField`]), and the share of the cells that are displaced ([`Misfit`](field::Misfit)). Cost,
 //! on the level on which agreement is measured: nine correlations for half of the pixels, with three multiply-adds per
-//! pixel and correlation. If more than a hundredth of the picture is displaced, some hundred correlations for every
-//! pixel in addition.
+//! pixel and correlation. If more than a hundredth of the patches seem displaced or match nowhere, some hundred
+//! correlations for every pixel in addition.
 //!
 //! The tiles of [`agreement`](crate::align::agreement) show whether a transform is right at all: they are large, and
 //! their displacement is searched within a few pixels only. Near objects, rolling shutter and moving things displace

@@ -50,7 +50,8 @@ pub struct Estimate {
 /// moved sideways, or things that moved.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Displaced {
-    /// The share of the displaced parts, 0..=1, among all parts that have detail and are not clipped.
+    /// The share of the displaced parts, 0..=1, among the parts that could be matched; 0 if these are too few. Parts
+    /// without detail and clipped parts cannot be matched.
     pub fraction: f64,
     /// Median displacement of the displaced parts, in pixels; 0 if there are none.
     pub px: f64,

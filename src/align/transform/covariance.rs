@@ -1,9 +1,10 @@
 //! The covariance of the parameters of an [`Increment`](super::Increment), estimated from the residuals themselves.
 //!
-//! In: for each block of the picture, its part of the normal equations. Out: the covariance of the parameters, or none
-//! if the observations do not determine them. Cost: the solution of a small system of equations per block. Source: the
-//! jackknife that leaves out one group of observations at a time (Efron & Tibshirani, An Introduction to the Bootstrap,
-//! 1993, chapter 11; for regression, Cameron & Miller, Journal of Human Resources 50(2), 2015, section VI).
+//! In: for each block of the picture, its part of the normal equations; a prior. Out: the covariance of the parameters,
+//! or none if the observations and the prior do not determine them. Cost: the solution of a small system of equations
+//! per block. Source: the jackknife that leaves out one group of observations at a time (Efron & Tibshirani, An
+//! Introduction to the Bootstrap, 1993, chapter 11; for regression, Cameron & Miller, Journal of Human Resources 50(2),
+//! 2015, section VI).
 //!
 //! The residuals of neighbouring points are not independent. Smoothing, JPEG and aliasing correlate them. Where the
 //! model does not fit, because of the tones, the lens or a thing that moved, neighbouring residuals have the same sign.
@@ -16,12 +17,12 @@ use nalgebra::{DMatrix, DVector};
 /// independent, but numerous enough for the covariance of eight parameters.
 const BLOCKS: usize = 6;
 /// The matrix A is computed with the weight w of Tukey's biweight, but the covariance of an M-estimate depends on psi',
-/// the derivative of psi(r) = w r by the residual r (Huber, Robust Statistics, 1981, section 7.6). This constant is mean
-/// psi' / mean w = 0.758 / 0.915 for normal residuals r, where w = (1 - t^2)^2 and psi' = (1 - t^2) (1 - 5 t^2) with t
-/// = r / 4.685. For residuals in two dimensions, the quotient is 0.685 / 0.834, nearly the same.
+/// the derivative of psi(r) = w r by the residual r (Huber, Robust Statistics, 1981, section 7.6). This constant is
+/// mean psi' / mean w = 0.758 / 0.915 for normal residuals r, where w = (1 - t^2)^2 and psi' = (1 - t^2) (1 - 5 t^2)
+/// with t = r / 4.685. For residuals in two dimensions, the quotient is 0.685 / 0.834, nearly the same.
 const CURVATURE: f64 = 0.83;
-/// The actual error, divided by the error that would result if the errors of different blocks were independent. Measured
-/// on rendered brackets.
+/// The actual error, divided by the error that would result if the errors of different blocks were independent.
+/// Measured on rendered brackets.
 const BETWEEN_BLOCKS: f64 = 1.4;
 /// Share of the matrix D (see [`covariance`]) that is added when a block is left out. Without it, there would be no
 /// solution if no other block has any detail.
@@ -51,7 +52,8 @@ pub(crate) fn blocks(places: impl Iterator<Item = [f64; 2]>, size: (usize, usize
 /// inverse covariance of the prior, multiplied by `factor`^2. The derivative of the scores by the parameters is D =
 /// [`CURVATURE`] A + P, where A is the sum of the matrices of all blocks. If block k, with the matrix A_k and the score
 /// s_k, is left out, the scores no longer cancel, and the parameters change by d_k = (D - [`CURVATURE`] A_k)^-1 s_k.
-/// The covariance is the sum of two parts:
+/// (The code adds a small multiple of D to the matrix in parentheses: see [`LEAST_LEFT`].) The covariance is the sum of
+/// two parts:
 ///
 /// - from the blocks: (B - 1) / B times the sum of (d_k - m) (d_k - m)^T over the B blocks, where m is the mean of d_k;
 /// - from the prior: D^-1 V D^-1, where V = `factor`^2 P is the variance of the score of the prior. Without the
@@ -59,7 +61,7 @@ pub(crate) fn blocks(places: impl Iterator<Item = [f64; 2]>, size: (usize, usize
 ///   multiplication makes the score `factor`^2 times as large, and so its variance `factor`^4 times as large.
 ///
 /// The sum is multiplied by the square of [`BETWEEN_BLOCKS`]. If only few blocks have detail, the covariance that
-/// independent noise would cause, multiplied by `factor`^2, is added.
+/// independent noise would cause, multiplied by `factor`^2, is then added.
 pub(crate) fn covariance(blocks: &[Block], prior: &DMatrix<f64>, factor: f64) -> Option<DMatrix<f64>> {
     let n = prior.nrows();
     let whole = blocks.iter().fold(prior.clone(), |sum, (matrix, _)| sum + matrix * CURVATURE);
@@ -78,7 +80,7 @@ pub(crate) fn covariance(blocks: &[Block], prior: &DMatrix<f64>, factor: f64) ->
         covariance += &off * off.transpose() * ((count - 1.0) / count);
     }
     covariance *= BETWEEN_BLOCKS * BETWEEN_BLOCKS;
-    // The scatter of only a few blocks says little about the error. Therefore the error that independent noise would
+    // The scatter of only a few blocks shows little about the error. Therefore the error that independent noise would
     // cause is added, `factor` times as large.
     if blocks.iter().filter(|(matrix, _)| matrix.trace() > 0.0).count() <= n {
         let data = blocks.iter().fold(DMatrix::zeros(n, n), |sum, (matrix, _)| sum + matrix);

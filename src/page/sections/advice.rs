@@ -1,4 +1,4 @@
-//! The warnings, each with what to do about it; the same warning for several frames is shown once.
+//! The warnings, with what to do about them; the same warning for several frames is usually shown once.
 //!
 //! In: a [`Report`]. Out: HTML. Cost: none.
 
@@ -10,6 +10,7 @@ struct Advice {
     /// Names of the frames; empty if the warning is about the whole bracket.
     names: Vec<String>,
     what: String,
+    /// What to do; may be empty.
     remedy: String,
     degrades: bool,
 }
@@ -67,7 +68,7 @@ fn common(a: &str, b: &str) -> usize {
     a.char_indices().zip(b.chars()).find(|((_, a), b)| a != b).map_or(a.len().min(b.len()), |((at, _), _)| at)
 }
 
-/// Returns the list of warnings, each with its remedy.
+/// Returns the list of warnings, with a remedy where the warning has one.
 pub(in crate::page) fn warnings(report: &Report) -> String {
     if report.warnings.is_empty() {
         return "<p class=\"calm\"><b>No warnings.</b> No problems were found with the frames or their exposures.</p>\n"
