@@ -200,10 +200,11 @@ pub enum Error {
     },
     /// The threads could not be started.
     #[error(
-        "{threads} threads could not be started: {source}; give fewer with --threads if the command has it, or allow more (`ulimit -u`, `ulimit -v`)"
+        "{}threads could not be started: {source}; give fewer with --threads if the command has it, or allow more (`ulimit -u`, `ulimit -v`)",
+        if *threads == 0 { String::new() } else { format!("{threads} ") }
     )]
     Threads {
-        /// Number of threads that were requested.
+        /// Number of threads that were requested; 0 for the default number.
         threads: usize,
         /// The error of the system.
         source: rayon::ThreadPoolBuildError,

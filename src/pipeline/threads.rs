@@ -35,9 +35,9 @@ pub(super) fn in_own_pool<R: Send>(threads: Option<usize>, work: impl FnOnce() -
     pool.map_err(|source| Error::Threads { threads, source })?.install(work)
 }
 
-/// Starts the global thread pool with `threads` threads, or with rayon's default (one per core) if it is `None`, unless
-/// the pool exists. Must be called before code that computes on the global pool. Otherwise that code panics if the
-/// system refuses threads.
+/// Starts the global thread pool with `threads` threads, or with rayon's default (usually one per core) if it is
+/// `None`, unless the pool exists. Must be called before code that computes on the global pool. Otherwise that code
+/// panics if the system refuses threads.
 ///
 /// # Errors
 /// [`Error::Threads`].
@@ -49,11 +49,7 @@ pub fn start_threads(threads: Option<usize>) -> Result<()> {
     let threads = threads.unwrap_or(0).min(MOST_THREADS);
     match rayon::ThreadPoolBuilder::new().num_threads(threads).build_global() {
         // If the pool exists already, the error has no source.
-        Err(source) if std::error::Error::source(&source).is_some() => {
-            let cores = || std::thread::available_parallelism().map_or(1, usize::from);
-            let threads = if threads == 0 { cores() } else { threads };
-            Err(Error::Threads { threads, source })
-        }
+        Err(source) if std::error::Error::source(&source).is_some() => Err(Error::Threads { threads, source }),
         _ => Ok(()),
     }
 }
