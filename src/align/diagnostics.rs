@@ -1,11 +1,11 @@
 //! Diagnostics of an alignment, for `inspect` and the report page.
 //!
 //! In: the grey pyramids of the reference and a frame, and the transform that was found. Out: the bitmaps; the share of
-//! their pixels that differ, as a function of the rotation and the shift of the frame; the keypoints; the matches of
-//! each kind of keypoint, and which of the matches are inliers. Cost: the bitmap search and the features, some tenths
-//! of a second per frame. The diagnostics do not influence [`align`](crate::align::align). Source: Ward 2003, section
-//! 2; Lowe 2004, section 7.1; the thesis whose tables 4.1 to 4.3 `inspect` repeats for any bracket: they compare
-//! keypoints of the grey picture, of the bitmap and of both.
+//! the compared pixels that differ, as a function of the rotation and the shift of the frame; the keypoints; the
+//! matches of each kind of keypoint, and which of the matches are inliers. Cost: the bitmap search and the features,
+//! some tenths of a second per frame. The diagnostics do not influence [`align`](crate::align::align). Source: Ward
+//! 2003, section 2; Lowe 2004, section 7.1; the thesis whose tables 4.1 to 4.3 `inspect` repeats for any bracket: they
+//! compare keypoints of the grey picture, of the bitmap and of both.
 
 use crate::align::AlignOptions;
 use crate::align::bitmaps;

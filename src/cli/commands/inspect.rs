@@ -20,7 +20,7 @@ Files, for each photograph NAME (for the reference frame only the first three ki
                                            photograph, in its bitmaps, or in both
   NAME.matches.svg, .png                   keypoints that match one in the reference frame: inliers
                                            (they agree on one motion) and outliers (they do not)
-  NAME.xor.svg, .png                       curves: share of the bitmap's pixels that differ from the
+  NAME.xor.svg, .png                       curves: share of the compared pixels that differ from the
                                            reference frame's bitmap, at each rotation and shift
   NAME.edges.svg, .png                     edges of frame and reference, before and after alignment
 and tables.txt, tables.json with exposures, keypoints, matches, transforms and bitmaps.

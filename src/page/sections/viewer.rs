@@ -136,14 +136,16 @@ fn caption(page: &Page, report: &Report, result: Option<&Picture>) -> String {
         let open = report.outputs.iter().find(file).map_or_else(String::new, |path| {
             format!(" Open <code>{}</code> to judge sharpness.", escape(&markup::file_name(path)))
         });
+        let is_resized = report.options.as_ref().is_some_and(|options| options.resize.is_some());
+        let shown = if is_resized { "result before <code>--resize</code>" } else { "result" };
         words += &match result.width == crop.width_px {
             true => format!(
-                "The result is shown with all its {} × {} pixels: 100\u{a0}% here is 100\u{a0}% of the result.",
+                "The {shown} is shown with all its {} × {} pixels: 100\u{a0}% here is 100\u{a0}% of the {shown}.",
                 crop.width_px, crop.height_px
             ),
             false => format!(
-                "To keep the page small, the result is shown with {} × {} of its {} × {} pixels: <b>100\u{a0}% here is \
-                 {:.0}\u{a0}% of the result.</b>{open}",
+                "To keep the page small, the {shown} is shown with {} × {} of its {} × {} pixels: <b>100\u{a0}% here is \
+                 {:.0}\u{a0}% of the {shown}.</b>{open}",
                 result.width,
                 result.height,
                 crop.width_px,
