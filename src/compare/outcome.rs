@@ -78,7 +78,8 @@ pub(super) fn limits(criterion: &Criterion, input: &Input) -> Result<Limits> {
 /// Counts the pixels beyond the tolerance and finds the largest difference.
 pub(super) fn differing(magnitudes: &Magnitudes, limits: &Limits, a: &Input, b: &Input) -> Differing {
     let plane = &magnitudes.plane;
-    let tolerance = limits.tolerance_stops.or(limits.tolerance_de).unwrap_or(0.0) as f32;
+    // NaN and infinity are an infinite difference in `plane`, which must exceed every tolerance.
+    let tolerance = (limits.tolerance_stops.or(limits.tolerance_de).unwrap_or(0.0) as f32).min(f32::MAX);
     // Number of pixels beyond the tolerance, number of unequal pixels, largest difference, index of the first pixel
     // with the largest difference.
     type Found = (usize, usize, f32, usize);
