@@ -56,7 +56,7 @@ pub enum Warning {
         path: PathBuf,
         /// The confidence, 0..1.
         confidence: f64,
-        /// Share of the parts with detail that are displaced, 0..1.
+        /// Share of the compared parts that are displaced, 0..1.
         displaced_fraction: f64,
         /// Median displacement of the displaced parts, in pixels.
         displaced_px: f64,
@@ -272,7 +272,7 @@ fn displaced_words(fraction: f64, px: f64) -> String {
         return String::new();
     }
     format!(
-        ": {:.0} % of the parts with detail are displaced by about {px:.0} px, perhaps because of parallax or movement",
+        ": {:.0} % of the parts that could be compared are displaced by about {px:.0} px, perhaps because of parallax or movement",
         100.0 * fraction
     )
 }

@@ -184,8 +184,8 @@ pub struct AlignmentReport {
     pub error_px: Option<f64>,
     /// Confidence, 0..1; below 0.5 is low.
     pub confidence: f64,
-    /// Fraction of the parts with detail, 0..1, that the transform does not align, because of depth or movement; null
-    /// if not measured.
+    /// Fraction of the compared parts, 0..1, that the transform does not align, for example because of depth or
+    /// movement; null if not measured.
     pub displaced_fraction: Option<f64>,
     /// Median displacement, in px, of the parts that the transform does not align.
     pub displaced_px: Option<f64>,

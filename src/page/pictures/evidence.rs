@@ -53,8 +53,8 @@ pub(in crate::page) struct Evidence {
     pub brightened: bool,
 }
 
-/// Fractions of bitmap pixels that differ before and after alignment, and plots of this fraction as a function of
-/// rotation and shift.
+/// Fractions of the compared pixels of the bitmaps that differ before and after alignment, and plots of this fraction
+/// as a function of rotation and shift.
 #[derive(Debug, Clone)]
 pub(in crate::page) struct Xor {
     pub before: f64,
