@@ -88,7 +88,8 @@ pub enum SheetKind {
     Keypoints,
     /// The matches between the frame and the reference frame.
     Matches,
-    /// The fraction of the compared pixels that differ between frame and reference frame, plotted over rotation and shift.
+    /// The fraction of the compared pixels that differ between frame and reference frame, plotted over rotation and
+    /// shift.
     Xor,
     /// The edges of the frame and of the reference frame in two colours, before and after alignment.
     Edges,
