@@ -148,8 +148,8 @@ impl Demand {
     }
 
     /// Returns the bytes of alignment: the pyramids of all frames, and in addition the largest of three numbers. These
-    /// are the bytes of the comparison of frames on `threads` threads; the bytes of the features, which are detected
-    /// in `detecting` frames at a time; and `whole`, the bytes of a frame that is read from disk (0 if all frames are
+    /// are the bytes of the comparison of frames on `threads` threads, up to the next larger level than that of the
+    /// features; the bytes of the features, which are detected in `detecting` frames at a time; and `whole`, the bytes of a frame that is read from disk (0 if all frames are
     /// in memory).
     ///
     /// Before features are detected, the grey image is doubled in width and height; the bitmaps are not. Each bitmap
@@ -163,7 +163,7 @@ impl Demand {
         let resampled = sides * self.pixels();
         let features = sides * self.pyramid() + resampled.max((3 * detecting + threads) * self.scale_space());
         let features = if self.stages.features { features } else { 0 };
-        let beside = whole.max(threads * self.scale_space()).max(features);
+        let beside = whole.max(2 * threads * self.scale_space()).max(features);
         if self.stages.inspecting {
             // Each frame has all levels of the pyramid, and two bitmaps.
             let of_frame = self.pixels() * 4 / 3 + self.pixels() / 4;

@@ -7,8 +7,7 @@
 
 use crate::align::AlignMode;
 use crate::align::ladder::Search;
-use crate::align::ladder::thresholds::DISPLACED_HALVES;
-use crate::align::local::LocalField;
+use crate::align::local::{DISPLACED_HALVES, LocalField};
 use crate::align::refinement::FramePair;
 use crate::align::result::{Estimate, Placement};
 use crate::align::transform::Model;
@@ -57,7 +56,7 @@ impl Search<'_> {
         let field = LocalField::new(pair, &estimate.transform);
         // A frame from a tripod is not resampled only because things moved in the scene.
         let is_moved = estimate.model != Model::Unmoved;
-        let dominant = if self.options.mode == AlignMode::Auto && is_moved { field.dominant() } else { None };
+        let dominant = if self.options.mode == AlignMode::Auto && is_moved { field.dominant(pair) } else { None };
         let (field, estimate) = match dominant {
             Some((field, error_px)) => {
                 let transform = field.transform();

@@ -84,8 +84,3 @@ pub(crate) const INFERRED_CONFIDENCE: f64 = 0.6;
 pub(super) const INFERRING_CONFIDENCE: f64 = 0.5;
 
 // The local check.
-
-/// If the displaced share, less its standard error, is this large, the confidence is halved. The aim is a confidence
-/// below one half if 3 % of the picture are displaced. The value is smaller than 3 %, because the measured share is too
-/// small at edges of depth. Measured on rendered scenes.
-pub(super) const DISPLACED_HALVES: f64 = 0.025;

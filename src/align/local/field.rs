@@ -1,7 +1,7 @@
 //! The local field: the displacements of the patches. Each is averaged with the displacements of neighbours that move
 //! alike.
 //!
-//! In: the [matches](super::matching) of the patches. Out: a [`LocalField`], and how much of the picture is displaced
+//! In: the [matches](super::matching) of the patches. Out: a [`LocalField`], and how many of its cells are displaced
 //! ([`Misfit`]). Cost: negligible. Source: weighted least squares over neighbouring patches, with Tukey's biweight.
 //!
 //! Each match is described by a paraboloid: its peak is the displacement, and its curvature is the precision in each
@@ -11,7 +11,6 @@
 
 use crate::align::agreement::pattern::PEAK_BIAS;
 use crate::align::agreement::{MOST_STILL, TileDisplacement};
-use crate::align::grey::measured_level;
 use crate::align::local::areas::areas;
 use crate::align::local::cell::{Cell, precision};
 use crate::align::local::matching::Matches;
@@ -35,55 +34,42 @@ const LEAST_CELLS: usize = 16;
 /// visible from 2 px on; the value is less, because a cell at an edge of depth measures the mean of two displacements.
 const DISPLACED_PX: f64 = 1.5;
 
-/// If less than this share of the picture is displaced, the displaced cells do not count in the root mean square,
-/// because their cause is more likely a thing that moved than depth.
+/// If less than this share of the cells is displaced, the displaced cells do not count in the root mean square, because
+/// their cause is more likely a thing that moved than depth.
 const LEAST_DISPLACED: f64 = 0.01;
 /// The dominant motion is searched only if the root mean square displacement is at least this, in pixels of the full
 /// size.
 const LEAST_MISFIT_PX: f64 = 0.15;
+/// If the share of the cells that are displaced, minus its standard error, is this large, the confidence is halved, and
+/// the dominant motion is searched on a finer level. The aim is a confidence below one half if 3 % of the picture are
+/// displaced. The value is smaller than 3 %, because the measured share is too small at edges of depth. Measured on
+/// rendered scenes.
+pub(crate) const DISPLACED_HALVES: f64 = 0.025;
 /// A cell is suspicious if it is displaced by at least this, in pixels of the full size.
 const SUSPICIOUS_PX: f64 = 1.0;
 /// If more than this share of the cells are suspicious or have no match, displacements are searched farther
 /// ([`matching::far`]).
 const SUSPICIOUS: f64 = 0.01;
 
-/// The patches around a cell that are smoothed together.
-#[derive(Debug, Clone, Copy)]
-struct Neighbourhood {
-    /// The number of patches to each side of the patch at the cell's centre.
-    radius: usize,
-    /// The mean number of matched patches that contain a pixel: 0.5 if the patches do not overlap and every second one
-    /// is matched.
-    overlap: f64,
-}
-
-/// The neighbourhoods of [`matching::near`] and [`matching::far`], both 48 pixels wide. Narrower ones would fail on
-/// twigs and railings.
-const NEAR: Neighbourhood = Neighbourhood { radius: 1, overlap: 0.5 };
-const FAR: Neighbourhood = Neighbourhood { radius: 2, overlap: 4.0 };
-
 /// The displacements of the cells of a picture from the positions that a transform gives.
 #[derive(Debug, Clone)]
 pub(crate) struct LocalField {
     /// The transform from which the displacements are measured, in pixels of the level.
     h: Matrix3<f64>,
-    /// The level on which the displacements were measured, and its size.
-    level: usize,
+    /// The matches from which the displacements were measured.
+    matches: Matches,
+    /// Size of the level of the matches, in pixels.
     size: (usize, usize),
-    /// Mean number of matched patches that contain a pixel; see [`Neighbourhood`].
-    overlap: f64,
     /// The cells whose displacement is known.
     cells: Vec<Cell>,
-    /// Number of cells whose content stayed at the same pixels, although the transform predicts a displacement.
-    still: usize,
 }
 
-/// How much of a picture a transform does not fit. All lengths are in pixels of the full size.
+/// How many of the cells a transform does not fit. All lengths are in pixels of the full size.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct Misfit {
-    /// The parts of the picture that are displaced by at least [`DISPLACED_PX`].
+    /// The cells that are displaced by at least [`DISPLACED_PX`].
     pub(crate) displaced: Displaced,
-    /// The share of the picture that is displaced, minus the standard error of this share, 0..=1. The standard error is
+    /// The share of the cells that are displaced, minus the standard error of this share, 0..=1. The standard error is
     /// large if few cells are known, as in a dark frame.
     pub(crate) displaced_surely: f64,
     /// Root mean square displacement of the cells, minus the part that is due to [`PEAK_BIAS`]. Displacements that are
@@ -95,57 +81,64 @@ pub(crate) struct Misfit {
 impl LocalField {
     /// Measures the displacements of the frame from the positions that `transform` gives.
     pub(crate) fn new(pair: &FramePair, transform: &Transform) -> Self {
-        let level = measured_level(pair.reference());
         let (width, height) = pair.size();
-        let h = on_level(&transform.matrix(width, height), level);
-        let size = pair.reference().size(level);
-        let shown = |[x, y]: [f64; 2]| {
+        let h = transform.matrix(width, height);
+        let near = matching::near(pair, &h);
+        let unmatched = near.unmatched();
+        let field = Self::of(near, pair, &h);
+        let displaced = field.lengths_px().filter(|&px| px >= SUSPICIOUS_PX).count() + unmatched;
+        if displaced as f64 <= SUSPICIOUS * (field.cells.len() + unmatched) as f64 {
+            return field;
+        }
+        Self::of(matching::far(pair, &h), pair, &h)
+    }
+
+    /// The field of `matches` under the transform `h`, in pixels of the full size.
+    fn of(matches: Matches, pair: &FramePair, h: &Matrix3<f64>) -> Self {
+        let h = on_level(h, matches.level);
+        let size = pair.reference().size(matches.level);
+        let is_shown = |[x, y]: [f64; 2]| {
             let (u, v) = map(&h, x, y);
             u >= 0.0 && v >= 0.0 && u <= (size.0 - 1) as f64 && v <= (size.1 - 1) as f64
         };
-        let near = matching::near(pair, &h);
-        let field = LocalField {
-            h,
-            level,
-            size,
-            overlap: NEAR.overlap,
-            cells: smoothed(&near, NEAR, shown),
-            still: near.still(),
-        };
-        let displaced = field.lengths_px().filter(|&px| px >= SUSPICIOUS_PX).count() + near.unmatched();
-        if displaced as f64 <= SUSPICIOUS * (field.cells.len() + near.unmatched()) as f64 {
-            return field;
-        }
-        let far = matching::far(pair, &h);
-        LocalField { overlap: FAR.overlap, cells: smoothed(&far, FAR, shown), still: far.still(), ..field }
+        LocalField { h, size, cells: smoothed(&matches, is_shown), matches }
     }
 
     /// Returns this field with displacements from the [dominant motion](dominant) instead of the present transform, and
     /// the error estimate of the dominant motion in pixels of the full size. None if the present transform fits nearly
     /// as much of the picture.
-    pub(crate) fn dominant(&self) -> Option<(Self, f64)> {
-        if self.cells.len() < LEAST_CELLS || self.misfit().rms_px < LEAST_MISFIT_PX {
+    ///
+    /// If many cells are displaced, the dominant motion is searched in the field of the next finer level.
+    pub(crate) fn dominant(&self, pair: &FramePair) -> Option<(Self, f64)> {
+        let misfit = self.misfit();
+        if self.cells.len() < LEAST_CELLS || misfit.rms_px < LEAST_MISFIT_PX {
             return None;
         }
-        let found = dominant::search(&self.cells, &self.h, self.size, self.scale())?;
-        let back = found.h.try_inverse()? * self.h;
+        let h = off_level(&self.h, self.matches.level);
+        let is_finer = misfit.displaced_surely >= DISPLACED_HALVES;
+        let finer = if is_finer { self.matches.on_finer_level(pair, &h) } else { None };
+        let finer = finer.map(|matches| Self::of(matches, pair, &h));
+        let searched = finer.as_ref().unwrap_or(self);
+        let found = dominant::search(&searched.cells, &searched.h, searched.size, searched.scale())?;
+        let h = on_level(&off_level(&found.h, searched.matches.level), self.matches.level);
+        let back = h.try_inverse()? * self.h;
         let moved = |cell: &Cell| {
             let ([x, y], [dx, dy]) = (cell.centre, cell.displacement);
             let (u, v) = map(&back, x + dx, y + dy);
             Cell { displacement: [u - x, v - y], ..*cell }
         };
         let cells = self.cells.iter().map(moved).collect();
-        Some((LocalField { h: found.h, cells, ..*self }, self.scale() * found.error))
+        Some((LocalField { h, cells, ..self.clone() }, searched.scale() * found.error))
     }
 
     /// Returns the transform from which the displacements are measured, in pixels of the full size.
     pub(crate) fn transform(&self) -> Transform {
-        Transform::Homography(off_level(&self.h, self.level))
+        Transform::Homography(off_level(&self.h, self.matches.level))
     }
 
     /// Length of a pixel of the level, in pixels of the full size.
     fn scale(&self) -> f64 {
-        (1u64 << self.level) as f64
+        (1u64 << self.matches.level) as f64
     }
 
     /// The lengths of the significant displacements, in pixels of the full size.
@@ -154,7 +147,7 @@ impl LocalField {
         self.cells.iter().filter(|c| c.is_significant()).map(length)
     }
 
-    /// Returns how much of the picture is displaced; zeros if fewer than [`LEAST_CELLS`] cells are known.
+    /// Returns how many of the cells are displaced; zeros if fewer than [`LEAST_CELLS`] cells are known.
     pub(crate) fn misfit(&self) -> Misfit {
         if self.cells.len() < LEAST_CELLS {
             return Misfit::default();
@@ -164,14 +157,14 @@ impl LocalField {
         // Captions, watermarks, dust and the fixed noise of the sensor stay at the same pixels when the camera moves.
         // Such cells are ignored, unless their share exceeds [`MOST_STILL`]: then the transform may be wrong, so they
         // count as displaced.
-        let still =
-            if self.still as f64 <= MOST_STILL * (self.cells.len() + self.still) as f64 { 0 } else { self.still };
+        let still = self.matches.still();
+        let still = if still as f64 <= MOST_STILL * (self.cells.len() + still) as f64 { 0 } else { still };
         let all = (self.cells.len() + still) as f64;
         let fraction = (displaced.len() + still) as f64 / all;
-        let independent = (all / self.overlap.max(1.0)).max(1.0);
         let most_px = if fraction < LEAST_DISPLACED { DISPLACED_PX } else { f64::INFINITY };
         let squares = lengths.iter().filter(|&&px| px < most_px).map(|px| px * px).sum::<f64>();
         let bias_px = self.scale() * PEAK_BIAS;
+        let independent = (all / self.matches.overlap().pow(2) as f64).max(1.0);
         Misfit {
             rms_px: (squares / all - bias_px * bias_px).max(0.0).sqrt(),
             displaced_surely: (fraction - (fraction * (1.0 - fraction) / independent).sqrt()).max(0.0),
@@ -207,10 +200,13 @@ impl Sum {
 }
 
 /// Returns the cells, each from the weighted sum of the matches around it. The weight of a match depends on its
-/// distance from the peak of the sum around the match itself. Sums and weights are computed alternately. `shown` tells
-/// whether the frame shows a position of the reference.
-fn smoothed(matches: &Matches, neighbourhood: Neighbourhood, shown: impl Fn([f64; 2]) -> bool) -> Vec<Cell> {
-    let Neighbourhood { radius, overlap } = neighbourhood;
+/// distance from the peak of the sum around the match itself. Sums and weights are computed alternately. `is_shown`
+/// tells whether the frame shows a position of the reference.
+fn smoothed(matches: &Matches, is_shown: impl Fn([f64; 2]) -> bool) -> Vec<Cell> {
+    // The patches around a cell are together 48 pixels wide. Narrower ones would fail on twigs and railings.
+    let radius = matches.overlap();
+    // Patches that overlap have similar errors.
+    let alike = matches.overlap().pow(2) as f64;
     let known: Vec<Option<TileDisplacement>> = matches.all.iter().map(|m| m.and_then(|m| m.displacement())).collect();
     let around = |i: usize| {
         let (column, row) = (i % matches.columns, i / matches.columns);
@@ -246,14 +242,14 @@ fn smoothed(matches: &Matches, neighbourhood: Neighbourhood, shown: impl Fn([f64
         Some(Cell {
             centre: matches.centre(i),
             displacement: sums[i].peak(),
-            precision: precision(sums[i].sharpness, agreeing.max(1) as f64, overlap.max(1.0) * variance),
+            precision: precision(sums[i].sharpness, agreeing.max(1) as f64, alike * variance),
             agrees: agreeing as f64 >= LEAST_AGREEING * all as f64,
             area: 0.0,
         })
     };
     let mut cells: Vec<Option<Cell>> = known.iter().enumerate().map(cell).collect();
     let has_cell: Vec<bool> = cells.iter().map(Option::is_some).collect();
-    let areas = areas(&has_cell, matches.columns, |i| shown(matches.centre(i)));
+    let areas = areas(&has_cell, matches.columns, |i| is_shown(matches.centre(i)));
     let mean = areas.iter().sum::<usize>() as f64 / has_cell.iter().filter(|&&has| has).count() as f64;
     for (cell, area) in cells.iter_mut().zip(areas) {
         cell.iter_mut().for_each(|cell| cell.area = area as f64 / mean.max(1e-9));

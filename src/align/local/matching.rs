@@ -1,6 +1,6 @@
 //! Block matching from coarse to fine: the displacement of small patches from the position that a transform gives.
 //!
-//! In: a [`FramePair`] and a transform. Out: a [`Match`] for each patch of the level on which agreement is measured.
+//! In: a [`FramePair`] and a transform. Out: a [`Match`] for each patch of a level.
 //! Cost: nine correlations for a patch that is not displaced, about forty for a displaced one. Source: the search
 //! starts from the displacements of the neighbours on the coarser level, as in Hasinoff et al., "Burst Photography",
 //! SIGGRAPH Asia 2016, section 4; normalised cross-correlation (Lewis 1995).
@@ -14,11 +14,9 @@ use nalgebra::Matrix3;
 use rayon::prelude::*;
 use std::sync::OnceLock;
 
-/// Side of a patch, in pixels of its level; 32 pixels of the full size in a photograph of 1 megapixel.
+/// Side of a patch, in pixels of its level; 32 pixels of the full size in a photograph of 1 megapixel, and 16 pixels on
+/// the next finer level.
 const SIDE: usize = 16;
-/// Distances between neighbouring patches, in pixels of the level: (in [`near`], in [`far`]). The patches of [`far`]
-/// overlap by half.
-const STEPS: (usize, usize) = (SIDE, SIDE / 2);
 /// Largest displacement that is searched, as a share of the long side. Depth displaces near objects by up to 2 %; the
 /// rest is for the error of the transform.
 const MOST_DISPLACEMENT: f64 = 0.03;
@@ -63,7 +61,10 @@ pub(super) enum Found {
 }
 
 /// The matches of the patches of a level.
+#[derive(Debug, Clone)]
 pub(super) struct Matches {
+    /// The level on which the patches were matched.
+    pub(super) level: usize,
     pub(super) columns: usize,
     pub(super) rows: usize,
     /// Distance between neighbouring patches, in pixels of the level.
@@ -74,29 +75,31 @@ pub(super) struct Matches {
 }
 
 /// Matches every second patch (the fields of one colour of a chessboard) of the level on which agreement is measured,
-/// near the position that `h` gives. `h` is in pixels of that level.
+/// near the position that `h` gives. `h` is in pixels of the full size.
 pub(super) fn near(pair: &FramePair, h: &Matrix3<f64>) -> Matches {
     let level = measured_level(pair.reference());
-    let grid = Grid { level, step: STEPS.0, reach: COARSEST_REACH as usize, is_chessboard: true };
+    let grid = Grid { level, step: SIDE, reach: COARSEST_REACH as usize, is_chessboard: true };
     Matches::none().finer(pair, h, grid, &[])
 }
 
 /// Matches all patches of the level on which agreement is measured, up to [`MOST_DISPLACEMENT`] from the position that
-/// `h` gives. `h` is in pixels of that level.
+/// `h` gives. The patches overlap by half. `h` is in pixels of the full size.
 pub(super) fn far(pair: &FramePair, h: &Matrix3<f64>) -> Matches {
-    let (width, height) = pair.size();
     let measured = measured_level(pair.reference());
-    let most = MOST_DISPLACEMENT * width.max(height) as f64;
     let last = pair.reference().len() - 1;
-    let reach = |level: usize| most / (1u64 << level) as f64;
-    let coarsest = (measured..=last).find(|&level| reach(level) <= COARSEST_REACH as f64).unwrap_or(last);
-    let mut found = Matches::none();
-    for level in (measured..=coarsest).rev() {
+    let is_coarse = |&level: &usize| reach(pair, level) <= COARSEST_REACH as f64;
+    let coarsest = (measured..=last).find(is_coarse).unwrap_or(last);
+    (measured..=coarsest).rev().fold(Matches::none(), |found, level| {
         let starts = if level == coarsest { &RIM[..] } else { &[] };
-        let grid = Grid { level, step: STEPS.1, reach: reach(level).ceil() as usize + 1, is_chessboard: false };
-        found = found.finer(pair, &on_level(h, level - measured), grid, starts);
-    }
-    found
+        let reach = reach(pair, level).ceil() as usize + 1;
+        found.finer(pair, h, Grid { level, step: SIDE / 2, reach, is_chessboard: false }, starts)
+    })
+}
+
+/// Largest displacement that [`far`] searches, in pixels of `level`.
+fn reach(pair: &FramePair, level: usize) -> f64 {
+    let (width, height) = pair.size();
+    MOST_DISPLACEMENT * width.max(height) as f64 / (1u64 << level) as f64
 }
 
 /// The patches of a level that are to be matched. All lengths are in pixels of the level.
@@ -112,7 +115,22 @@ struct Grid {
 
 impl Matches {
     fn none() -> Self {
-        Matches { columns: 0, rows: 0, step: SIDE, all: Vec::new() }
+        Matches { level: 0, columns: 0, rows: 0, step: SIDE, all: Vec::new() }
+    }
+
+    /// Matches all patches of the next finer level, if there is one. They do not overlap. The search starts from the
+    /// shifts in `self`. `h` is in pixels of the full size.
+    ///
+    /// There a patch covers a quarter of the area, so that fewer patches contain two motions, as at railings and twigs.
+    pub(super) fn on_finer_level(&self, pair: &FramePair, h: &Matrix3<f64>) -> Option<Self> {
+        let level = self.level.checked_sub(1)?;
+        let reach = reach(pair, level).ceil() as usize + 1;
+        Some(self.finer(pair, h, Grid { level, step: SIDE, reach, is_chessboard: false }, &[]))
+    }
+
+    /// Number of patches along each side that contain a pixel.
+    pub(super) fn overlap(&self) -> usize {
+        SIDE / self.step
     }
 
     /// The centre of patch `i`, in pixels of the level.
@@ -121,9 +139,10 @@ impl Matches {
     }
 
     /// Returns the matches of the patches of `grid`, a level that is finer by one than that of `self`. The search
-    /// starts from (0, 0), from the shifts in `self`, and from `starts`.
+    /// starts from (0, 0), from the shifts in `self`, and from `starts`. `h` is in pixels of the full size.
     fn finer(&self, pair: &FramePair, h: &Matrix3<f64>, grid: Grid, starts: &[Shift]) -> Self {
         let Grid { level, step, reach, is_chessboard } = grid;
+        let h = &on_level(h, level);
         let both = pair.level(level);
         let (width, height) = (both.reference.width(), both.reference.height());
         let count = |length: usize| (length + step).saturating_sub(SIDE) / step;
@@ -139,7 +158,8 @@ impl Matches {
             }
             let pattern = Pattern::new(both, column * step, row * step, SIDE)?;
             let mut correlations = Correlations { pattern: &pattern, warped: &warped, known: Vec::with_capacity(64) };
-            let (best, shift) = correlations.search(self.candidates(column, row).iter().chain(starts))?;
+            let (best, shift) =
+                correlations.search(self.candidates([column, row].map(|at| at * step)).iter().chain(starts))?;
             let centre = [column, row].map(|at| (at * step) as f64 + (SIDE as f64 - 1.0) / 2.0);
             let peak = Peak::around(shift, |shift| correlations.at(shift)).filter(|_| best >= LEAST_CORRELATION);
             if shift == (0, 0) && best >= ENOUGH_CORRELATION {
@@ -164,7 +184,7 @@ impl Matches {
             Some(Match { shift, found })
         };
         let all: Vec<Option<Match>> = (0..columns * rows).into_par_iter().map(find).collect();
-        Matches { columns, rows, step, all }
+        Matches { level, columns, rows, step, all }
     }
 
     /// Returns the number of patches with enough contrast that match nowhere.
@@ -177,10 +197,11 @@ impl Matches {
         self.all.iter().flatten().filter(|m| matches!(m.found, Found::Still)).count()
     }
 
-    /// For the patch at (`column`, `row`) of the next finer level, the shifts of the patches of this level around it,
-    /// in pixels of the finer level.
-    fn candidates(&self, column: usize, row: usize) -> Vec<Shift> {
-        let near = |at: usize, count: usize| (at / 2).saturating_sub(1)..(at / 2 + 2).min(count);
+    /// For the patch of the next finer level whose first pixel is `first`, the shifts of the patches of this level around
+    /// it, in pixels of the finer level.
+    fn candidates(&self, first: [usize; 2]) -> Vec<Shift> {
+        let [column, row] = first.map(|at| at / (2 * self.step));
+        let near = |at: usize, count: usize| at.saturating_sub(1)..(at + 2).min(count);
         let around = near(row, self.rows).flat_map(|y| near(column, self.columns).map(move |x| y * self.columns + x));
         let mut shifts: Vec<Shift> =
             around.filter_map(|i| self.all[i]).map(|m| (2 * m.shift.0, 2 * m.shift.1)).collect();

@@ -4,7 +4,8 @@
 //! transform gives ([`LocalField`]), and the share of the cells that are displaced ([`Misfit`](field::Misfit)). Cost,
 //! on the level on which agreement is measured: nine correlations for half of the pixels, with three multiply-adds per
 //! pixel and correlation. If more than a hundredth of the patches seem displaced or match nowhere, some hundred
-//! correlations for every pixel in addition.
+//! correlations for every pixel in addition; and if the frame moved and many cells are displaced, some ten correlations
+//! for every pixel of the next finer level.
 //!
 //! The tiles of [`agreement`](crate::align::agreement) show whether a transform is right at all: they are large, and
 //! their displacement is searched within a few pixels only. Near objects, rolling shutter and moving things displace
@@ -16,7 +17,7 @@ mod dominant;
 mod field;
 mod matching;
 
-pub(crate) use field::LocalField;
+pub(crate) use field::{DISPLACED_HALVES, LocalField};
 
 #[cfg(test)]
 mod tests;

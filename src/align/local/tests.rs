@@ -6,7 +6,7 @@ use crate::align::grey::GreyPyramid;
 use crate::align::local::matching;
 use crate::align::refinement::FramePair;
 use crate::align::scene::{Scene, Shot, photograph, rigid, uniform};
-use crate::align::transform::{Transform, distance, on_level};
+use crate::align::transform::{Transform, distance};
 use crate::plane::Plane;
 
 const SIZE: (usize, usize) = (640, 448);
@@ -55,15 +55,16 @@ fn compromise_between_two_motions_is_replaced_by_the_motion_of_the_larger_part()
     let truth = rigid(3.0, -2.0, 0.4);
     let (reference, frame) = pair_with_depth(384.0, 6.0, 1.5, &truth);
     let compromise = rigid(5.4, -2.0, 0.4);
-    let field = LocalField::new(&FramePair::new(&reference, &frame, &compromise), &compromise);
-    let (dominant, error_px) = field.dominant().unwrap();
+    let pair = FramePair::new(&reference, &frame, &compromise);
+    let field = LocalField::new(&pair, &compromise);
+    let (dominant, error_px) = field.dominant(&pair).unwrap();
     // Patches at the edge between the two parts fit neither motion and increase the error.
     let off = distance(&dominant.transform(), &truth, SIZE.0, SIZE.1);
     assert!(off < 0.3 && error_px < 1.0, "{off} {error_px}");
     let (before, after) = (field.misfit().displaced.fraction, dominant.misfit().displaced.fraction);
     assert!(before > 0.9 && (after - 0.4).abs() < 0.06, "{before} {after}");
     // No other motion fits more of the picture.
-    assert!(dominant.dominant().is_none());
+    assert!(dominant.dominant(&pair).is_none());
 }
 
 #[test]
@@ -102,9 +103,9 @@ fn black_frame_has_no_misfit() {
 fn coarse_to_fine_finds_what_a_full_search_finds() {
     let (reference, frame) = pair_with_depth(320.0, 9.0, 1.5, &Transform::Identity);
     let pair = FramePair::new(&reference, &frame, &Transform::Identity);
-    let found = matching::far(&pair, &on_level(&Transform::Identity.matrix(SIZE.0, SIZE.1), 0));
+    let found = matching::far(&pair, &Transform::Identity.matrix(SIZE.0, SIZE.1));
     let both = pair.level(0);
-    let h = on_level(&Transform::Identity.matrix(SIZE.0, SIZE.1), 0);
+    let h = Transform::Identity.matrix(SIZE.0, SIZE.1);
     let reach = 20;
     let warped = Warped::new(&both.frame, &h, SIZE, reach as usize);
     let (mut same, mut all) = (0, 0);
