@@ -231,6 +231,10 @@ fn smoothed(matches: &Matches, is_shown: impl Fn([f64; 2]) -> bool) -> Vec<Cell>
     }
     let cell = |(i, own): (usize, &Option<TileDisplacement>)| {
         own.as_ref()?;
+        // Beside a caption, the displacement is a mixture of that of the scene and of that of the caption.
+        if around(i).any(|n| matches.is_still(n)) {
+            return None;
+        }
         let (mut all, mut agreeing) = (0, 0);
         for n in around(i).filter(|&n| known[n].is_some()) {
             all += 1;

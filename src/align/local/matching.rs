@@ -192,6 +192,11 @@ impl Matches {
         self.all.iter().flatten().filter(|m| matches!(m.found, Found::Nothing)).count()
     }
 
+    /// Whether the content of patch `i` stayed at the same pixels, although the transform predicts a displacement.
+    pub(super) fn is_still(&self, i: usize) -> bool {
+        self.all[i].is_some_and(|m| matches!(m.found, Found::Still))
+    }
+
     /// Number of patches whose content stayed at the same pixels, although the transform predicts a displacement.
     pub(super) fn still(&self) -> usize {
         self.all.iter().flatten().filter(|m| matches!(m.found, Found::Still)).count()
