@@ -52,17 +52,18 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
                 let all = factor.and_then(|factor| metadata.exposure_scale.times(factor));
                 metadata.exposure_scale = all.ok_or_else(|| {
                     format!(
-                        "its header has `EXPOSURE={value}`; every EXPOSURE, and the product of all, must be a number \
-                         from 1e-20 to 1e20; correct the header, or write the file again"
+                        "its header has `EXPOSURE={value}`; every EXPOSURE must be a number from 1e-20 to 1e20; if \
+                         there are several, their product must stay in this range; correct the header, or write the \
+                         file again"
                     )
                 })?;
             }
             "COLORCORR" => {
                 corrections = corrected(corrections, value).ok_or_else(|| {
                     format!(
-                        "its header has `COLORCORR={value}`; every COLORCORR must be three factors; the factors, and \
-                         their products over all COLORCORR lines, must be from 1e-20 to 1e20; correct the header, or \
-                         write the file again"
+                        "its header has `COLORCORR={value}`; every COLORCORR must be three numbers from 1e-20 to \
+                         1e20, one for each channel; if there are several, the product for each channel must stay in \
+                         this range; correct the header, or write the file again"
                     )
                 })?;
             }

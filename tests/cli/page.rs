@@ -111,7 +111,7 @@ fn page_of_a_merge_is_complete_and_self_contained() {
     let crop = picture(&html, "class=\"canvas\"");
     assert_eq!(crop.width(), image::image_dimensions(window(1)).map(|size| size.0).expect("a size").min(crop.width()));
     assert_eq!(html.matches(&format!("width=\"{}\" height=\"{}\" alt=", crop.width(), crop.height())).count(), 6);
-    assert!(html.contains("100\u{a0}% here is 100\u{a0}% of the result") && !html.contains("look softer"));
+    assert!(html.contains("This page contains the result at full size") && !html.contains("look softer"));
     // The choices are: pictures (the result and every frame) and zooms (fit, 100 % and 200 %).
     assert_eq!((html.matches("name=\"shown\"").count(), html.matches("name=\"zoom\"").count()), (1 + FRAMES, 3));
     // Nothing moved: there is no overlay to switch on.
@@ -178,7 +178,8 @@ fn large_picture_is_reduced_with_a_note() {
     let pixels = result.width() * result.height();
     assert!((2_900_000..=3_000_000).contains(&pixels), "{pixels}");
     let words = format!(
-        "{} × {} of its 2400 × 1600 pixels: <b>100\u{a0}% here is {share:.0}\u{a0}% of the result.</b> Open <code>r.jpg</code>",
+        "the result is reduced here to {} × {} pixels. Its full size is 2400 × 1600 pixels. <b>A zoom of 100\u{a0}% \
+         shows it at {share:.0}\u{a0}% of its full size.</b> Open <code>r.jpg</code>",
         result.width(),
         result.height()
     );

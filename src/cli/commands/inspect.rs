@@ -20,8 +20,8 @@ Files, for each photograph NAME (for the reference frame only the first three ki
                                            photograph, in its bitmaps, or in both
   NAME.matches.svg, .png                   keypoints that match one in the reference frame: inliers
                                            (they agree on one motion) and outliers (they do not)
-  NAME.xor.svg, .png                       curves: share of the compared pixels that differ from the
-                                           reference frame's bitmap, at each rotation and shift
+  NAME.xor.svg, .png                       curves: how much the bitmap differs from the reference
+                                           frame's bitmap if the frame is rotated or shifted
   NAME.edges.svg, .png                     edges of frame and reference, before and after alignment
 and tables.txt, tables.json with exposures, keypoints, matches, transforms and bitmaps.
 

@@ -53,8 +53,9 @@ pub(in crate::page) struct Evidence {
     pub brightened: bool,
 }
 
-/// Fractions of the compared pixels of the bitmaps that differ before and after alignment, and plots of this fraction
-/// as a function of rotation and shift.
+/// How much the bitmap of a frame differs from that of the reference frame. `before` and `after` are the share of the
+/// compared pixels that differ before and after alignment, 0..=1. The `plots` show this share for different rotations,
+/// shifts to the right, and shifts down.
 #[derive(Debug, Clone)]
 pub(in crate::page) struct Xor {
     pub before: f64,

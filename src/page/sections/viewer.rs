@@ -139,13 +139,12 @@ fn caption(page: &Page, report: &Report, result: Option<&Picture>) -> String {
         let is_resized = report.options.as_ref().is_some_and(|options| options.resize.is_some());
         let shown = if is_resized { "result before <code>--resize</code>" } else { "result" };
         words += &match result.width == crop.width_px {
-            true => format!(
-                "The {shown} is shown with all its {} × {} pixels: 100\u{a0}% here is 100\u{a0}% of the {shown}.",
-                crop.width_px, crop.height_px
-            ),
+            true => {
+                format!("This page contains the {shown} at full size, {} × {} pixels.", crop.width_px, crop.height_px)
+            }
             false => format!(
-                "To keep the page small, the {shown} is shown with {} × {} of its {} × {} pixels: <b>100\u{a0}% here is \
-                 {:.0}\u{a0}% of the {shown}.</b>{open}",
+                "To keep the page small, the {shown} is reduced here to {} × {} pixels. Its full size is {} × {} pixels. \
+                 <b>A zoom of 100\u{a0}% shows it at {:.0}\u{a0}% of its full size.</b>{open}",
                 result.width,
                 result.height,
                 crop.width_px,

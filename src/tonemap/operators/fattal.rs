@@ -53,7 +53,7 @@ impl Options {
                 "beta",
                 (0.6, 1.0),
                 &mut self.beta,
-                "exponent of each gradient divided by alpha; smaller values weaken strong gradients more",
+                "exponent of (gradient / alpha); 1 changes nothing, smaller values weaken strong gradients more",
             ),
             Setting::number(
                 "noise",
