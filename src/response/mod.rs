@@ -229,8 +229,8 @@ pub struct Fit {
     /// Degree of the polynomial, if the model is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub degree: Option<usize>,
-    /// Whether the response of the channel could not be recovered, so that the mean of the recovered channels is used;
-    /// the numbers above are then 0.
+    /// True if the response of the channel could not be recovered. The mean response of the recovered channels is then
+    /// used for this channel, and the numbers above are 0.
     pub borrowed: bool,
 }
 

@@ -142,7 +142,7 @@ fn options(report: &Report) -> Vec<(String, String)> {
     flatten("", all.as_ref().unwrap_or(&Value::Null), &mut rows);
     rows.extend(report.white_balance.map(|light| ("white".to_owned(), light.to_string())));
     if let Some(calibration) = &report.calibration {
-        rows.push(("Luminance of radiance 1, cd/m²".into(), format!("{:.4}", calibration.cd_m2_per_unit)));
+        rows.push(("Luminance of relative radiance 1, cd/m²".into(), format!("{:.4}", calibration.cd_m2_per_unit)));
     }
     if let Some(flare) = &report.flare {
         rows.push(("Flare found".into(), percent(flare.scattered_fraction).replace("&lt;", "<")));

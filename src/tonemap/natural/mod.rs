@@ -12,9 +12,10 @@
 //! 2. The exposures are fused; black and white are set near the darkest and brightest values of the fused picture.
 //! 3. A contrast curve is applied. A power function darkens the picture if the longest exposure is dark. If the
 //!    photographs are not known, this function also aims at the brightness of a typical photograph.
-//! 4. Linear functions carry luminance from the grid to the pixels (`guide`). A pixel gets the colour that it would
-//!    have in a photograph that shows it with the same luminance. If the photographs are not known, the hue is nearly
-//!    that of the scene, and chroma is never increased.
+//! 4. Linear functions carry luminance from the grid to the pixels (`guide`). A photograph shows the same place in
+//!    different colours, depending on the exposure. A pixel gets about the colour of the exposure in which it has the
+//!    same luminance as in the picture. If the photographs are not known, the hue is nearly that of the scene, and
+//!    chroma is never increased.
 //!
 //! The constants below were chosen by eye and in blind comparisons on sixteen photographed brackets.
 
@@ -35,9 +36,9 @@ use photograph::Photograph;
 /// Settings of the operator.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Options {
-    /// Target for the mean code value of the picture, 0 to 1. It is not always reached. If the longest exposure is
-    /// dark, a lower target is used instead: `OF_LONGEST` times the mean code value of the longest exposure. `None`:
-    /// the mean code value of the fused photographs, or 0.48 if the photographs are not known.
+    /// Target for the mean code value of the picture, 0 to 1. It is not always reached. `None`: the mean code value of
+    /// the fused photographs, or 0.48 if the photographs are not known. Every target, also a given one, has a limit:
+    /// `OF_LONGEST` times the mean code value of the longest exposure. A target above the limit is reduced to the limit.
     pub brightness: Option<f64>,
     /// Strength of the contrast curve: 0 adds no contrast, 1 raises the contrast of the middle tones by half.
     pub contrast: f64,
