@@ -4,8 +4,8 @@
 //! the compared pixels that differ, as a function of the rotation and the shift of the frame; the keypoints; the
 //! matches of each kind of keypoint, and which of the matches are inliers. Cost: the bitmap search and the features,
 //! some tenths of a second per frame. The diagnostics do not influence [`align`](crate::align::align). Source: Ward
-//! 2003, section 2; Lowe 2004, section 7.1; the thesis whose tables 4.1 to 4.3 `inspect` repeats for any bracket: they
-//! compare keypoints of the grey picture, of the bitmap and of both.
+//! 2003, section 2; Lowe 2004, section 7.1; the thesis that hdralign is based on. Tables 4.1 to 4.3 of the thesis
+//! compare keypoints of the grey picture, of the bitmap and of both. `inspect` makes such tables for any bracket.
 
 use crate::align::AlignOptions;
 use crate::align::bitmaps;

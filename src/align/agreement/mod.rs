@@ -84,11 +84,11 @@ impl TileCheck {
     /// [`evidence_over`](Self::evidence_over) minus evidence that most tiles have in common.
     ///
     /// Only parts of the picture that do not repeat distinguish the right transform from one that is shifted by a
-    /// period. Interpolation, tones and the precision of the two refinements change the correlations of most tiles in
-    /// the same direction. In a scene that repeats exactly, this alone could add up to decisive evidence. Therefore the
-    /// median of the tiles' evidence, limited to one nat, is subtracted from the evidence of each tile. The median is
-    /// subtracted only if it has the same sign as the sum over the tiles. If the subtraction would change the sign of
-    /// the sum, the result is 0.
+    /// period. But interpolation, tones and the precision of the two refinements may make one of the transforms match
+    /// slightly better in most tiles. In a scene that repeats exactly, this alone could add up to decisive evidence.
+    /// Therefore the median of the tiles' evidence, limited to one nat, is subtracted from the evidence of each tile.
+    /// The median is subtracted only if it has the same sign as the sum over the tiles. If the subtraction would change
+    /// the sign of the sum, the result is 0.
     pub fn distinction_from(&self, other: &TileCheck) -> f64 {
         let tiles: Vec<f64> = self.evidence_by_tile(other).collect();
         let all: f64 = tiles.iter().sum();

@@ -4,9 +4,9 @@
 //! match, and its error estimate. Cost: negligible compared with the check. Source: Newton's method on the sum of the
 //! tiles' correlations; tiles on moving objects are down-weighted (Tukey's biweight).
 //!
-//! Flare, motion blur, and noise that distorts the intensity map all change the grey values at all edges in the same
-//! direction. [`refinement`](crate::align::refinement) mistakes this change for motion. The fit to the tiles is not
-//! affected, because correlation does not depend on a tile's own gain and offset.
+//! Flare, motion blur, and noise that distorts the intensity map can make the grey values at all edges brighter, or at
+//! all edges darker. [`refinement`](crate::align::refinement) mistakes this change for motion. The fit to the tiles is
+//! not affected, because correlation does not depend on a tile's own gain and offset.
 
 use crate::align::agreement::pattern::PEAK_BIAS;
 use crate::align::agreement::{TileCheck, TileDisplacement};

@@ -1,9 +1,9 @@
 //! The dominant motion: if the parts of a picture move differently, the homography that fits the largest part.
 //!
 //! In: the cells of a [`LocalField`](super::LocalField), that is, displacements from a given transform. Out: the
-//! homography that fits the largest part of the picture within a pixel, or none if the given transform fits nearly as
-//! much. Cost: 200 trials, each of which solves 8 x 8 equations, and 32 refinements, each on up to 1500 cells: some 30
-//! ms. Source: Fischler & Bolles, CACM 24(6), 1981 (random samples, scored by how well they fit); Torr & Zisserman,
+//! homography that fits the largest part of the picture to within a pixel, or none if the given transform fits nearly
+//! as much. Cost: 200 trials, each of which solves 8 x 8 equations, and 32 refinements, each on up to 1500 cells: some
+//! 30 ms. Source: Fischler & Bolles, CACM 24(6), 1981 (random samples, scored by how well they fit); Torr & Zisserman,
 //! CVIU 78(1), 2000 (a better fit counts more); Chum, Matas & Kittler, DAGM 2003 (the best samples are refined).
 //!
 //! The refinement on the pixels minimises the difference of the pixels. If the motions of the parts of a picture differ
@@ -124,10 +124,12 @@ impl Observation {
     }
 }
 
-/// Returns the area of the `observations` that fit the motion with the parameters `step`. An observation that differs
-/// from it by t standard deviations counts by 1 - t^4, and not at all from one standard deviation on. If the
-/// observations were made with the tolerance [`FITS_PX`], this is nearly the area of the cells that fit, but of two
-/// motions that fit equally many cells, the one that fits them better counts more.
+/// Returns the area of the `observations` that fit the motion with the parameters `step`.
+///
+/// Let t be the distance of an observation from this motion, in standard deviations. If t is less than 1, the
+/// observation counts with its area times 1 - t^4; otherwise it does not count. If the observations were made with the
+/// tolerance [`FITS_PX`], the result is nearly the area of the cells that fit. If two motions fit the same cells, the
+/// motion that fits them better usually has the larger result.
 fn fitting(observations: &[Observation], step: &DVector<f64>) -> f64 {
     observations.iter().map(|o| o.area * (1.0 - o.off(step).powi(4)).max(0.0)).sum()
 }
@@ -217,8 +219,9 @@ impl Fit<'_> {
         (a, b)
     }
 
-    /// Returns the expected root mean square error over the picture, in pixels of the level, of the motion with the
-    /// parameters `step`, to which the `observations` of `cells` led.
+    /// Returns the expected root mean square error of a motion over the picture, in pixels of the level.
+    ///
+    /// `step` has the parameters of the motion. The motion was fitted to `observations`, which were made from `cells`.
     fn error(
         &self,
         observations: &[Observation],

@@ -34,8 +34,8 @@ const LEAST_CELLS: usize = 16;
 /// visible from 2 px on; the value is less, because a cell at an edge of depth measures the mean of two displacements.
 const DISPLACED_PX: f64 = 1.5;
 
-/// If less than this share of the cells is displaced, the displaced cells do not count in the root mean square, because
-/// their cause is more likely a thing that moved than depth.
+/// If less than this share of the cells is displaced, the displaced cells count as 0 in the root mean square. So few
+/// cells more likely show something that moved than depth.
 const LEAST_DISPLACED: f64 = 0.01;
 /// The dominant motion is searched only if the root mean square displacement is at least this, in pixels of the full
 /// size.
@@ -261,8 +261,8 @@ fn smoothed(matches: &Matches, is_shown: impl Fn([f64; 2]) -> bool) -> Vec<Cell>
     cells.into_iter().flatten().collect()
 }
 
-/// The squared distance r^T S^-1 r of a match from the displacement `d`, where S is the sharpness of the match and r =
-/// S (displacement of the match - d).
+/// Returns how much a match differs from the displacement `d`: the squared distance r^T S^-1 r, with r = S (m - d). S
+/// is the sharpness of the match, and m its displacement.
 fn misfit(own: &TileDisplacement, d: [f64; 2]) -> f64 {
     let [xx, xy, yy] = own.sharpness;
     let left = [own.pull[0] - xx * d[0] - xy * d[1], own.pull[1] - xy * d[0] - yy * d[1]];

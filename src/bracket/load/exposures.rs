@@ -92,8 +92,8 @@ pub(super) fn settle(
         });
     }
     // An excluded frame is merged only if the user presets its transform. If such a frame has no usable exposure in its
-    // EXIF, its exposure is estimated from the pixels. If that is impossible, its exposure is assumed to be that of the
-    // first frame by path that is not excluded.
+    // EXIF, its exposure is estimated from the pixels. If the pixels give no estimate, the frame gets the exposure of
+    // another frame: of the frames that are not excluded, the first in the order of paths.
     let evs: Vec<f64> = exposures.iter().map(|exposure| exposure.as_ref().map_or(f64::NAN, Exposure::ev)).collect();
     for i in (0..pictures.len()).filter(|&i| evs[i].is_nan()) {
         let all: Vec<usize> = order.iter().copied().chain([i]).collect();

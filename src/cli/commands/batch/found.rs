@@ -49,8 +49,8 @@ pub fn many(n: usize, what: &str) -> String {
     if n == 1 { format!("1 {what}") } else { format!("{n} {what}s") }
 }
 
-/// Returns the number of entries in `all`, with a noun that fits all of them. An entry that cannot be read may be a
-/// folder. A result of hdralign is a file, but not a photograph.
+/// Returns the number of entries in `all`, with a noun that fits all of them. If an entry cannot be read, the noun is
+/// "file or folder", because the entry may be either. A result of hdralign is a file, but not a photograph.
 pub fn entries(all: &[&LeftOver]) -> String {
     let has = |is: fn(&Reason) -> bool| all.iter().any(|entry| is(&entry.reason));
     let n = all.len();
