@@ -17,8 +17,8 @@
 //!    cells: errors of alignment, noise and JPEG cancel, motion adds up. The cell size with the strongest mean decides,
 //!    for all three channels together: `evidence`.
 //! 4. A difference is motion if only one of the two, standard or frame, has an edge there: `structure`. A connected
-//!    region that differs and has such an edge all around is removed completely, with a soft border: `region`. A
-//!    bracket without motion gives the same bytes as without deghosting.
+//!    region that differs is removed completely, with a soft border, only if such edges along its border are strong
+//!    enough on average: `region`. A bracket without motion gives the same bytes as without deghosting.
 //! 5. Where something moved, shorter frames that are black are removed too, because black agrees with any dark object.
 //! 6. Where the reference frame is clipped and the shorter frames are removed, radiance is interpolated from the
 //!    clipped surroundings: `holes`.
