@@ -93,7 +93,8 @@ A result is degraded if a warning reports that
 - the response could not be recovered, is of another camera, or contradicts the pixels
 - the brackets given to `hdralign response` are of different cameras
 - `batch --shared-response` could not use a bracket for the response of its camera
-Degraded results are written, too. A frame that you exclude does not degrade a result";
+Degraded results are written, too. A frame that you exclude does not count as a frame that
+could not be aligned, but its exposure and its pixels are still checked";
 
 /// Limit on the size of images.
 #[derive(Debug, Args)]
