@@ -26,7 +26,7 @@ const FIELDS: [(&str, Field, &str); 9] = [
     (
         "folder",
         Field::Folder,
-        "the folder of the photographs, relative to the searched folder. With -d and brackets in\n             several searched folders, it begins with the name of the searched folder",
+        "the folder of the photographs, relative to the searched folder. With -d and brackets in\n             several searched folders, it usually begins with the name of the searched folder",
     ),
     ("first", Field::First, "the first photograph by name, without extension"),
     ("last", Field::Last, "the last photograph by name, without extension"),

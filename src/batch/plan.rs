@@ -331,8 +331,8 @@ fn rounded(seconds: f64) -> f64 {
 fn values(bracket: &Planned, index: usize, root: Option<&Path>) -> Values {
     let stem = |path: Option<&PathBuf>| path.and_then(|p| p.file_stem()).unwrap_or_default().to_owned();
     let names = || bracket.photographs.iter();
-    // `root` is given only if several folders were searched. The results of each of these folders then go to a
-    // subfolder with its name.
+    // `root` is given only if several folders were searched. The results of each of these folders then usually go to a
+    // subfolder with its name. (A path such as `.` or `..` has no name.)
     let below = root.and_then(Path::file_name).map(PathBuf::from).unwrap_or_default();
     Values {
         folder: below.join(&bracket.folder),

@@ -197,8 +197,8 @@ fn divided(mut photographs: Vec<Placed>, options: &FindOptions, is_odd: bool) ->
     (grouped, left)
 }
 
-/// Sorts by time. Photographs with the same time are sorted by name, except that 9999 comes before 0001 if the
-/// camera's counter in the file names restarted between them.
+/// Sorts by time. Photographs with the same time are sorted by folder and name. If the camera's counter in the file
+/// names restarted among them within one folder, 9999 usually comes before 0001.
 fn sort(photographs: &mut [Placed]) {
     let moment = |placed: &Placed| placed.shot.header.taken;
     photographs.sort_by(|a, b| moment(a).cmp(&moment(b)).then_with(|| natural(&a.shot.path, &b.shot.path)));
