@@ -69,7 +69,7 @@ pub enum Warning {
         100.0 * overlap
     )]
     SmallOverlap {
-        /// The frame that overlaps the reference least.
+        /// The frame that covers the smallest rectangle of the reference.
         path: PathBuf,
         /// Area of the largest rectangle that this frame covers, as a fraction of the reference's area, 0..1.
         overlap: f64,
@@ -265,14 +265,15 @@ fn named(paths: &[PathBuf]) -> String {
 /// Smallest share of displaced parts that a warning about low confidence mentions.
 const MENTIONED_FRACTION: f64 = 0.01;
 
-/// Returns the share of displaced parts and their displacement, as text; empty if it is less than
+/// Returns the share of displaced parts as text, and their displacement if it is not 0; empty if the share is less than
 /// [`MENTIONED_FRACTION`].
 fn displaced_words(fraction: f64, px: f64) -> String {
     if fraction < MENTIONED_FRACTION {
         return String::new();
     }
+    let by = if px > 0.0 { format!(" by about {px:.0} px") } else { String::new() };
     format!(
-        ": {:.0} % of the parts that could be compared are displaced by about {px:.0} px, perhaps because of parallax or movement",
+        ": {:.0} % of the parts that could be compared are displaced{by}, perhaps because of parallax or movement",
         100.0 * fraction
     )
 }

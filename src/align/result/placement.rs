@@ -53,7 +53,8 @@ pub struct Displaced {
     /// The share of the displaced parts, 0..=1, among the parts that could be matched; 0 if these are too few. Parts
     /// without detail and clipped parts cannot be matched.
     pub fraction: f64,
-    /// Median displacement of the displaced parts, in pixels; 0 if there are none.
+    /// Median displacement of the displaced parts, in pixels; 0 if there are none. Parts that stayed at the same pixels
+    /// although the camera moved are not in the median.
     pub px: f64,
 }
 
