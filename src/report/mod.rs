@@ -1,7 +1,7 @@
 //! The report of a run: the processing of every frame and the results, for programs.
 //!
-//! In: the results of the stages. Out: JSON in a public format, with the version [`SCHEMA`] and units in the keys or in
-//! a `unit` beside them. Cost: negligible.
+//! In: the results of the stages. Out: JSON in a public format, with the version [`SCHEMA`] and most units in the keys
+//! or in a `unit` beside them. Cost: negligible.
 
 pub mod options;
 pub mod tonemapped;
