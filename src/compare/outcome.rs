@@ -146,7 +146,7 @@ pub(super) fn decide(
         if not_comparable > 0 {
             return (
                 Outcome::Differs,
-                format!("{} different, and NaN or infinite in at least one of the files", pixels_are(not_comparable)),
+                format!("{} different, and NaN or infinite in a file or after conversion", pixels_are(not_comparable)),
             );
         }
         return match found {

@@ -168,7 +168,7 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
         let off = match (largest.stops, largest.de) {
             (Some(stops), _) => format!("{stops:.3} stops"),
             (_, Some(de)) => format!("dE {de:.2}"),
-            _ => "not finite (at least one of the files has NaN or infinity)".into(),
+            _ => "not finite (NaN or infinity, in a file or after conversion)".into(),
         };
         let values = |rgb: [Option<f64>; 3]| rgb.map(|v| v.map_or("-".into(), number)).join(" ");
         let (expected, actual) = (values(largest.expected), values(largest.actual));
@@ -185,7 +185,7 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
             row(
                 "odd",
                 format!(
-                    "{} pixels are different, and NaN or infinite in at least one of the files",
+                    "{} pixels are different, and NaN or infinite in a file or after conversion",
                     radiance.not_comparable_pixels
                 ),
             );
@@ -219,7 +219,7 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
     for changed in &compared.metadata {
         let words = |text: &Option<String>| text.as_ref().map_or("none".into(), |t| one_line(t));
         let (expected, actual) = (words(&changed.expected), words(&changed.actual));
-        row("header", format!("{}: expected {expected}, actual {actual} (this difference is ignored)", changed.key));
+        row("header", format!("{}: expected {expected}, actual {actual} (for information)", changed.key));
     }
     for warning in &compared.warnings {
         row("warning", warning.clone());
