@@ -132,12 +132,12 @@ pub enum Error {
     },
     /// No part of the reference is in all frames.
     #[error(
-        "{}: no part of {} is in all frames, and this frame covers the smallest part of the reference; exclude this frame with --leave-out (in a batch, use `hdralign merge` for this), or correct the transform of this frame if you gave a file of transforms",
+        "{}: no part of {} is in all frames, and this frame covers the smallest rectangle of the reference; exclude this frame with --leave-out (in a batch, use `hdralign merge` for this), or correct the transform of this frame if you gave a file of transforms",
         path.display(),
         reference.display()
     )]
     NoOverlap {
-        /// The frame that covers the smallest part of the reference.
+        /// The frame that covers the smallest rectangle of the reference.
         path: PathBuf,
         /// The reference.
         reference: PathBuf,
@@ -204,7 +204,7 @@ pub enum Error {
         if *threads == 0 { String::new() } else { format!("{threads} ") }
     )]
     Threads {
-        /// Number of threads that were requested; 0 for the default number.
+        /// Number of threads that should be started; 0 for the default number.
         threads: usize,
         /// The error of the system.
         source: rayon::ThreadPoolBuildError,

@@ -68,7 +68,8 @@ pub(crate) fn common_overlap(bracket: &Bracket, placements: &[Placement]) -> Res
     let transforms: Vec<Transform> = placed.iter().map(|&(_, transform)| transform).collect();
     let common = overlap::largest(&transforms, width, height);
     let share = |rect: Rect| (rect.width() * rect.height()) as f64 / (width * height) as f64;
-    // The frame that covers the smallest share of the reference (the first, if several do), and this share.
+    // The frame whose largest rectangle covers the smallest share of the reference (the first, if several do), and this
+    // share.
     let least = || {
         let shares =
             placed.iter().map(|&(i, transform)| (i, overlap::largest(&[transform], width, height).map_or(0.0, share)));
