@@ -124,9 +124,9 @@ fn every_frame_is_placed_to_well_under_a_tenth_of_a_pixel() {
 }
 
 /// The reported error of a frame is an estimate, which may be smaller or larger than the true error of the frame. On
-/// rendered brackets, the reported error is about 0.5 to 4 times the true error for about 9 of 10 frames; measured
-/// here: 0.7 to 1.3 times. A reported error that is too small misleads users. A reported error that is too large only
-/// makes them check a good picture.
+/// rendered brackets with `--align auto`, the reported error is about 0.5 to 4 times the true error for about 9 of 10
+/// frames; measured here: 0.7 to 1.3 times. A reported error that is too small misleads users. A reported error that is
+/// too large only makes them check a good picture.
 #[test]
 fn the_stated_error_is_honest() {
     for frame in misplaced(by_default()) {

@@ -209,8 +209,8 @@ fn exclusion_at(level: usize, exclusion: u8) -> u8 {
 /// A motion of at most this multiple of its error estimate is treated as no motion.
 const SIGNIFICANT: f64 = 2.0;
 
-/// Alternatives are searched on the level whose short side has at least this many pixels and less than twice as many;
-/// in a smaller picture, at full size. It is fine enough for the periods of facades.
+/// Alternatives are usually searched on the level whose short side has at least this many pixels and less than twice as
+/// many; in a smaller picture, at full size. It is fine enough for the periods of facades.
 const ALTERNATIVES_SIDE: usize = 128;
 
 /// Largest number of bitmap words that are compared for one angle when every shift is tried. It takes some tenths of a
