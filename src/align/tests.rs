@@ -99,7 +99,7 @@ fn black_frame_among_others_that_did_not_move_is_assumed_unmoved() {
     assert_eq!((placement.transform(), placement.model()), (Some(Transform::Identity), Some(Model::Unmoved)));
     assert!(placement.error_px().is_some_and(|error| error < 1.0) && placement.confidence() > 0.5, "{placement:?}");
     assert!(matches!(&warnings[..], [Warning::FrameAssumed { is_dark: true, is_still: true, .. }]), "{warnings:?}");
-    assert!(!warnings[0].degrades() && warnings[0].to_string().contains("stood still in the other 2 frames"));
+    assert!(!warnings[0].degrades() && warnings[0].to_string().contains("did not move between the other 2 frames"));
 }
 
 #[test]

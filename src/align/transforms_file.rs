@@ -130,7 +130,7 @@ impl SavedAlignment {
     pub fn from_json(text: &str, path: &Path) -> Result<Self> {
         let wrong = |reason: String| Error::TransformsFile { path: path.to_owned(), reason };
         let header: Header = serde_json::from_str(text)
-            .map_err(|e| wrong(format!("it is not a JSON object whose key \"schema\" is a text ({e})")))?;
+            .map_err(|e| wrong(format!("it is not a JSON object with a text under the key \"schema\" ({e})")))?;
         if header.schema != SCHEMA {
             return Err(wrong(format!(
                 "it is a file of another kind or version: its schema is {:?}, but {SCHEMA:?} is required",

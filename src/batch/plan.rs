@@ -436,7 +436,10 @@ impl Job {
     fn named(path: &Path, all: &[Job], id: &str) -> Result<Job> {
         let refused = |option, reason| Err(Error::Option { option, reason });
         match all.iter().find(|job| job.id == id) {
-            None => refused("--id", format!("{}: there is no job {id:?}; `jq -r .id` lists them", path.display())),
+            None => refused(
+                "--id",
+                format!("{}: the plan has no job with id {id:?}; list the ids with `jq -r .id PLAN`", path.display()),
+            ),
             Some(job) if job.software != super::SOFTWARE => refused(
                 "--run",
                 format!(

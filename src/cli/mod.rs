@@ -66,7 +66,7 @@ const AFTER_HELP: &str = "\
 Exit codes:
   0  done
   1  failed; no file was written
-     (if only printing to stdout failed: all files were written, and are complete)
+     (exception: if hdralign could not print to stdout, all files were written and are complete)
   2  wrong usage
   3  written, but degraded; only with --strict, which `hdralign merge --help` explains
   compare: 0 same, 1 different, 2 error

@@ -196,7 +196,7 @@ pub fn left(left_s: Option<f64>) -> String {
     }
 }
 
-/// The state that the thread of the run and the thread that moves the bar share.
+/// The state shared by two threads: one does the work of the run, the other moves the bar.
 struct Shared {
     course: Mutex<Course>,
     is_over: Mutex<bool>,

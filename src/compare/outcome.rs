@@ -23,22 +23,19 @@ pub(super) fn validate(criterion: &Criterion) -> Result<()> {
     };
     match *criterion {
         Criterion::Psnr { least_db } => {
-            check("--min-psnr", least_db, f64::MAX, "a PSNR; give a number of dB, 0 or more, for example 40")
+            check("--min-psnr", least_db, f64::MAX, "a PSNR; give at least 0 dB, for example 40")
         }
         Criterion::Pixels { tolerance, most_differing_percent } => {
             match tolerance {
                 Tolerance::ByKind => {}
-                Tolerance::Stops(v) => check(
-                    "--tolerance-stops",
-                    v,
-                    f64::MAX,
-                    "a tolerance; give a number of stops, 0 or more, for example 0.01",
-                )?,
+                Tolerance::Stops(v) => {
+                    check("--tolerance-stops", v, f64::MAX, "a tolerance; give at least 0 stops, for example 0.01")?
+                }
                 Tolerance::DeltaE(v) => check(
                     "--tolerance-de",
                     v,
                     f64::MAX,
-                    "a tolerance; give a colour difference dE, 0 or more, for example 1",
+                    "a tolerance; give a colour difference (dE) of at least 0, for example 1",
                 )?,
             }
             check("--max-differing", most_differing_percent, 100.0, "a percentage; give 0 to 100 percent of the pixels")

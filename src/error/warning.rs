@@ -170,8 +170,8 @@ pub enum Warning {
     },
     /// The camera tone-mapped the frames locally, so their values depend on more than the exposure.
     #[error(
-        "{}: locally processed by the camera (parts brightened or darkened); radiance was compensated for it, but is \
-         approximate; to merge the frames unchanged, give --response-model srgb",
+        "{}: locally processed by the camera, which brightened or darkened parts of the picture; the radiance is \
+         corrected for this, but it is only approximate; to merge without this correction, give --response-model srgb",
         named(paths)
     )]
     LocallyProcessed {

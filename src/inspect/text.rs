@@ -57,14 +57,14 @@ impl Tables {
                     "Table {}. {name}: motion found from each kind of keypoint alone, compared with the alignment",
                     4 + 2 * i
                 ),
-                "px: the distance between the positions to which this motion and the alignment move a pixel (root mean square over the picture).",
+                "px: how far apart this motion and the alignment put the same pixel (root mean square over the picture).",
                 &["EV", "plain", "px", "MTB", "px", "merged", "px"],
                 &|frame| comparison_row(frame, detected(frame)),
             );
         }
         add(
             "Table 7. Alignment",
-            "Shift of the picture centre and rotation, from reference to frame; positive: right, down, clockwise.",
+            "dx and dy: shift of the picture centre from the reference to the frame; positive is right and down. rotation: also from the reference to the frame; positive is clockwise.",
             &["status", "model", "dx px", "dy px", "rotation deg", "error px", "confidence"],
             &place_row,
         );

@@ -147,8 +147,8 @@ mod tests {
             let of = |frame: usize| shares[frame].cells.at(x, 0);
             let all: f32 = (0..3).map(of).sum();
             assert!((all - 1.0).abs() < 1e-4, "{x}: {all}");
-            // All channels are equal, so the radiances of the frames, weighted by their shares, add up to the merged
-            // radiance, also beside clipped pixels.
+            // All channels are equal in this scene. So the sum of the frames' radiances, each multiplied by the share
+            // of its frame, is the merged radiance. This is also true beside clipped pixels.
             let mean: f32 = (0..3).map(|frame| of(frame) * own(frame, x)).sum();
             let found = radiance.at(x, 5)[1];
             assert!((mean / found - 1.0).abs() < 2e-3, "{x}: {mean} for {found}");

@@ -37,10 +37,10 @@ pub enum Weight {
     Plateau,
     /// All values count the same, clipped or not.
     Uniform,
-    /// Values count most where the response is steep: where one stop more light changes the value most. Mann & Picard
-    /// 1995.
+    /// Values count most where the response is steep. There, one more stop of light changes the value most. Mann &
+    /// Picard 1995.
     MannPicard,
-    /// Frames with less noise count more: inverse variance of the measured noise and of rounding.
+    /// Frames with less noise count more. The weight is the inverse variance of measured noise and rounding.
     Noise,
 }
 

@@ -26,8 +26,8 @@ const READ: usize = 60_000;
 const SEEN: (f64, f64) = (2.0, 253.0);
 /// Largest standard deviation within a flat patch, in codes.
 const ROUGH: f64 = 12.0;
-/// A longer exposure may be darker than a shorter one by this many codes plus the noise of the patches; otherwise
-/// something moved.
+/// If a patch is darker in a longer exposure than in a shorter one, and the difference exceeds a tolerance, something
+/// moved. The tolerance is this number of codes plus the noise of the patch.
 const DARKER: f64 = 2.0;
 /// Smallest increase of a patch's code per stop of exposure: the larger one of a fraction of the code and a number of
 /// codes. If the increase is smaller, the shorter exposure is at the black of the film or sensor, and is not used.

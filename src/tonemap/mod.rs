@@ -53,7 +53,7 @@ pub enum Operator {
     Fattal(operators::fattal::Options),
     /// Local: reduces contrasts of every size, from fine detail to large areas. Mantiuk et al. 2006.
     Mantiuk06(operators::mantiuk06::Options),
-    /// Global: the best curve for a given display and the light in its room. Mantiuk et al. 2008.
+    /// Global: computes one curve for the scene, the display and the room light. Mantiuk et al. 2008.
     Mantiuk08(operators::mantiuk08::Options),
 }
 

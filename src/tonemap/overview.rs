@@ -155,7 +155,7 @@ impl Loops for Logs<'_> {
             let is_lit = (f32::MIN_POSITIVE..=f32::MAX).contains(&l);
             let value = log2(l);
             *log = if is_lit { value } else { UNLIT };
-            // The ratios are at most those of pure red and pure blue.
+            // The upper limits are the ratio of red in pure red, and the ratio of blue in pure blue.
             let ratio = |c: f32, i: usize| at_most(at_least(c / l, 0.0), 1.0 / LUMINANCE[i]);
             *ratios = if is_lit { [ratio(rgb[0], 0), ratio(rgb[2], 2)] } else { [0.0; 2] };
         }

@@ -126,7 +126,7 @@ impl<P: Sync> Slot<P> {
                 let missing = missing - rows.len();
                 if missing == 0 { State::Ended(writer.finish()?) } else { State::Started(writer, missing) }
             }
-            State::Ended(_) => panic!("more rows than the picture has"),
+            State::Ended(_) => panic!("rows were added after the last row of the picture"),
             State::Failed => return Err(failed(&self.path)),
         };
         Ok(())

@@ -84,7 +84,7 @@ pub fn write(
     options: &Options,
 ) -> Result<Vec<Written>> {
     if options.picture != picture::Options::default() {
-        let reason = "the picture is written as it is given, with 8 bits; other picture options need `pipeline::run` or `pipeline::tonemap_file`".to_owned();
+        let reason = "`write::write` supports only the default picture options: it writes the given picture unchanged, with 8 bits; for other options, use `pipeline::run` or `pipeline::tonemap_file`".to_owned();
         return Err(Error::Option { option: "--bit-depth", reason });
     }
     let outputs = Output::results(paths)?;

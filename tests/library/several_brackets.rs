@@ -99,8 +99,9 @@ fn normalised_brackets_have_the_same_unit() {
     for (a, b) in short.radiance.pixels.as_slice().iter().zip(short_in_unit.radiance.pixels.as_slice()) {
         assert!((0..3).all(|c| (f64::from(b[c]) / (f64::from(a[c]) * factor) - 1.0).abs() < 1.2e-7), "{a:?} {b:?}");
     }
-    // Radiance 1 gives the middle code value at the unit exposure, which by the sRGB curve is 0.2158 of saturation;
-    // saturation is a product of radiance and exposure of 1 in the scene.
+    // At the unit exposure, radiance 1 gives the middle code value. By the sRGB curve, the exposure of the middle code
+    // value is 0.2158 of the exposure that saturates. In the scene, a pixel saturates if the product of radiance and
+    // exposure is 1.
     let (x, y) = (0..SIZE.0).map(|x| (x, 5)).find(|&(x, y)| (0.1..0.3).contains(&(scene(x, y) * exposure(3)))).unwrap();
     let light = f64::from(long_in_unit.radiance.pixels.at(x as usize, y as usize)[1]) * 0.2158 / unit;
     assert!((light / scene(x, y) - 1.0).abs() < 0.03, "{light} {}", scene(x, y));

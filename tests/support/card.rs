@@ -263,8 +263,8 @@ fn chance(view: u64, what: u64) -> f64 {
     ((z ^ (z >> 31)) >> 11) as f64 / (1_u64 << 53) as f64
 }
 
-/// Returns the code value that the camera of `testdata/window` (`tests/library/testdata/window/camera.rs`) records
-/// instead of `value` with `ev` more stops of exposure.
+/// Returns the code value that a pixel has after `ev` more stops of exposure, if its code value was `value`. The camera
+/// is that of `testdata/window` (`tests/library/testdata/window/camera.rs`).
 fn pushed(value: u8, ev: f64) -> u8 {
     let (power, knee) = (0.8, 0.45);
     let y = f64::from(value) / 255.0;

@@ -7,11 +7,11 @@
 //! A hand-held camera is modelled as a random walk in the picture plane. The step from one frame to the next has an
 //! isotropic normal distribution. Its variance is unknown and proportional to the time between the two frames. The most
 //! likely transform at a time between two frames is then their linear interpolation; before the first or after the last
-//! frame, it is the transform of that frame. The error bound follows from K observed steps: divide the squared distance
-//! of the true transform from the most likely one by its expected value, estimated from the steps. This ratio has the F
-//! distribution with 2 and 2 K degrees of freedom, because each step has two components (Fisher 1925). The quantiles of
-//! this distribution have a closed form. On a tripod, the steps are 0 apart from the measurement error. With steps of
-//! many pixels, the bound is too large for merging.
+//! frame, it is the transform of that frame. The error bound follows from K observed steps. These steps give an
+//! estimate of the expected squared distance between the true transform and the most likely one. The ratio of the
+//! squared distance to this estimate has the F distribution with 2 and 2 K degrees of freedom, because each step has
+//! two components (Fisher 1925). The quantiles of this distribution have a closed form. On a tripod, the steps are 0
+//! apart from the measurement error. With steps of many pixels, the bound is too large for merging.
 //!
 //! If a camera shakes around one position, its frames do not drift: they scatter about their mean, independent of time.
 //! The same is true for scanned photographs. If this second model is at least 20 times as likely as the random walk

@@ -108,7 +108,7 @@ impl Search<'_> {
             let place = track.at(self.capture_times[i]);
             let off = place.expected_px() / tolerance_px(size);
             if off <= MOST_EXPECTED_ERROR && self.has_same_brightness_order(i, &place, detail, &before) {
-                let motion = if track.is_still() { "stood still in" } else { "moved little between" };
+                let motion = if track.is_still() { "did not move" } else { "moved little" };
                 let tone = if detail.is_white { "white" } else { "black" };
                 *placement = Placement::Assumed(Estimate {
                     transform: place.transform,
@@ -116,7 +116,9 @@ impl Search<'_> {
                     error_px: Some(place.bound_px),
                     confidence: INFERRED_CONFIDENCE / (1.0 + off * off),
                     displaced: None,
-                    reason: Some(format!("nearly all pixels are {tone}; the camera {motion} the other {count} frames")),
+                    reason: Some(format!(
+                        "nearly all pixels are {tone}, and the camera {motion} between the other {count} frames"
+                    )),
                 });
             }
         }

@@ -143,7 +143,8 @@ impl fmt::Display for Reason {
             }
             Reason::Format(format) => write!(f, "{format}, which is not supported; convert it to TIFF or JPEG"),
             Reason::Twin(used) => {
-                write!(f, "the same shot as {}; of the two, only that file is considered", name(used))
+                let used = name(used);
+                write!(f, "the same shot as {used}; only {used} is considered")
             }
             Reason::SameFile(used) => write!(f, "the same file as {}; only that name is considered", used.display()),
             Reason::Result(by) => write!(f, "a result, written by {by}"),
@@ -157,7 +158,7 @@ impl fmt::Display for Reason {
             ),
             Reason::Single => write!(
                 f,
-                "a single photograph: it forms no bracket with the photographs before and after it; --gap sets the longest pause, --bracket N the number of frames"
+                "a single photograph, which forms no bracket with the photographs before and after it; give --gap for another longest pause, or --bracket N for brackets of N frames"
             ),
             Reason::Burst(count) => write!(
                 f,

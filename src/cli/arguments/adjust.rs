@@ -20,7 +20,8 @@ pub struct Adjust {
 
     /// Make the picture brighter or darker, -5 to 5 [default: 0]
     ///
-    /// 1 brightens dark parts by one stop, and bright parts by less than that, so that nothing is clipped
+    /// With 1, dark parts become one stop brighter. Bright parts become less than one stop brighter, so nothing is
+    /// clipped
     #[arg(long, value_name = "EV", default_value_t, hide_default_value = true, allow_negative_numbers = true)]
     brightness: f64,
 
@@ -36,7 +37,7 @@ pub struct Adjust {
 
     /// Make the shadows brighter or darker, -100 to 100 [default: 0]
     ///
-    /// 100 is two stops in the darkest parts. Local contrast is kept
+    /// With 100, the darkest parts become two stops brighter. Local contrast is kept
     #[arg(long, value_name = "N", default_value_t, hide_default_value = true, allow_negative_numbers = true)]
     shadows: f64,
 

@@ -74,8 +74,8 @@ pub struct Work {
 
     /// Print no progress, summary or warnings, only errors and file names
     ///
-    /// For scripts: stdout is the same as without -q: the names of the files written, or JSON. Errors go to stderr.
-    /// Without -q, progress is shown if stderr is a terminal
+    /// Use -q in scripts. The option -q does not change stdout, which gets the names of the files written, or JSON.
+    /// Errors go to stderr. Without -q, progress is shown if stderr is a terminal
     #[arg(short, long, help_heading = OUTPUT)]
     pub quiet: bool,
 }

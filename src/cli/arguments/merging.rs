@@ -28,8 +28,9 @@ pub struct Merging {
 
     /// Remove ghosts: auto, off, or 0 to 1 (--deghost=0.8) [default: auto]
     ///
-    /// Things that moved are shown as in the reference frame. Strength 0 removes only clear ghosts, 1 also faint ones;
-    /// auto is 0.5. off removes none: things that moved may appear several times. The = before a value is required
+    /// Things that moved are shown as in the reference frame. Strength 0 removes only clear ghosts. Strength 1 also
+    /// removes faint ghosts. The value auto means strength 0.5. The value off removes no ghosts, so things that moved
+    /// may appear several times. The = before a value is required
     #[arg(
         long,
         value_name = "STRENGTH",

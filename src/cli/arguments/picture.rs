@@ -11,7 +11,7 @@ use hdralign::write::picture::{self, Size};
 #[derive(Debug, Args)]
 #[command(next_help_heading = PICTURE)]
 pub struct Picture {
-    /// Set the bits per channel of the picture; 16 is an error if a .jpg is written
+    /// Set the bits per channel of the picture; a .jpg cannot have 16 bits
     #[arg(long, hide_short_help = true, value_parser = choice::<Depth>(), default_value_t, value_name = "BITS")]
     bit_depth: Depth,
 

@@ -54,8 +54,9 @@ impl Tone {
         let mut rendering = self.tmo.clone();
         for text in &self.tmo_set {
             let refused = |reason: String| Error::Option { option: "--tmo-set", reason };
-            let (key, value) =
-                text.split_once('=').ok_or_else(|| refused(format!("{text:?} is not KEY=VALUE, as in base=3")))?;
+            let (key, value) = text
+                .split_once('=')
+                .ok_or_else(|| refused(format!("{text:?} does not have the form KEY=VALUE; an example is base=3")))?;
             let number = value.trim().parse().map_err(|_| refused(format!("{value:?} in {text:?} is not a number")))?;
             rendering.set(key.trim(), number)?;
         }

@@ -40,8 +40,11 @@ Exit codes:
   0  all brackets done
   1  nothing done, no bracket found, or another error
   2  wrong usage
-  3  some brackets done, others not; or all done, but a photograph or folder could not be read,
-     or the summary could not be written at the end; with --strict also if a result is degraded
+  3  one of these:
+     - some brackets are done, others are not
+     - all brackets are done, but a photograph or folder could not be read
+     - all brackets are done, but the summary could not be written at the end
+     - all brackets are done, but a result is degraded (only with --strict)
 Results of earlier runs count like those of this run. With --dry-run and --plan, a bracket that is
 listed counts as done, and unreadable files do not count. With --shared-response, the code is also
 3 if the response of a camera was recovered, but no bracket was merged.
@@ -126,10 +129,10 @@ pub struct Args {
     /// Also print the warnings of this run, and the brackets already done
     ///
     /// By default, each bracket that is merged gets a line with the number of its warnings. The summary at the end
-    /// counts the brackets already done, and shows the first warning of each degraded result, for at most 10 of them.
-    /// With -v, the warnings of a merged bracket follow its line, and each bracket already done gets a line too. With
-    /// -q, only errors, messages after a signal, and file names (or JSON) are printed. -v has no effect with --dry-run,
-    /// --plan, --run or --summarize
+    /// counts the brackets already done. The summary also shows the first warning of each degraded result, for at most
+    /// 10 results. With -v, the warnings of a merged bracket follow its line, and each bracket already done gets a line
+    /// too. With -q, only errors, messages after a signal, and file names (or JSON) are printed. -v has no effect with
+    /// --dry-run, --plan, --run or --summarize
     #[arg(short, long, help_heading = OUTPUT, conflicts_with = "quiet")]
     verbose: bool,
 
@@ -138,7 +141,8 @@ pub struct Args {
 
     /// Set the number of brackets merged at the same time
     ///
-    /// By default as many as threads, if memory allows. Results do not depend on it
+    /// By default, N is the number of threads. If memory is short, fewer brackets are merged at the same time. The
+    /// results do not depend on N
     #[arg(long, help_heading = RESOURCES, value_name = "N")]
     jobs: Option<usize>,
 }
@@ -150,7 +154,7 @@ struct Places {
     /// Set the folder for the results [default: beside the photographs]
     ///
     /// With `batch night -d out`, results of night/x/IMG_1.jpg go to out/x. If several of the given folders contain
-    /// brackets, the results go to out/night/x. out itself is not searched
+    /// brackets, the results go to out/night/x. The folder given with -d is not searched for photographs
     #[arg(short = 'd', long = "output-folder", value_name = "FOLDER")]
     output: Option<PathBuf>,
 
@@ -160,8 +164,8 @@ struct Places {
 
     /// Set formats: exr, hdr, tif (radiance), png, jpg
     ///
-    /// They replace the default. exr, hdr and tif contain the radiance, png and jpg the picture. For a .tif with the
-    /// picture give --pictures tif
+    /// The given formats replace the default formats. exr, hdr and tif contain the radiance, png and jpg the picture.
+    /// For a .tif with the picture give --pictures tif
     #[arg(long, value_name = "FORMAT,...", value_delimiter = ',', default_value = "exr,png")]
     formats: Vec<String>,
 
@@ -202,7 +206,7 @@ struct Acting {
     #[command(flatten)]
     method: Method,
 
-    /// Set the reference frame of each bracket: its number (1 is the first)
+    /// Set the reference frame of each bracket by its number (1 is the first)
     ///
     /// Frames are numbered in the order in which they were taken. By default, the reference is the best exposed frame
     #[arg(long, help_heading = INPUT, value_name = "N")]

@@ -80,7 +80,8 @@ pub struct Args {
 
     /// Print no summary or warnings, only errors and file names
     ///
-    /// For scripts: stdout is the same as without -q: the names of the files written, or JSON. Errors go to stderr
+    /// Use -q in scripts. The option -q does not change stdout, which gets the names of the files written, or JSON.
+    /// Errors go to stderr
     #[arg(short, long)]
     quiet: bool,
 }

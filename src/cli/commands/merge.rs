@@ -107,7 +107,7 @@ impl Args {
             Some(name) => {
                 let name = name.display();
                 let reason = format!(
-                    "{name} was taken for a photograph, but there is none of this name; if it is the strength, write --deghost={name}"
+                    "{name} was taken for a photograph, but no file has this name; to set the strength to {name}, write --deghost={name}"
                 );
                 Err(Error::Option { option: "--deghost", reason })
             }

@@ -29,9 +29,9 @@ fn adapted(arg: clap::Arg) -> clap::Arg {
     match arg.get_id().as_str() {
         "images" => arg.help("Photographs (JPEG, PNG or TIFF) of one or several brackets, or folders of photographs"),
         "reference" => arg
-            .help("Set the reference frame of each bracket: its number (1 is the first); its file name only if there is one bracket")
+            .help("Set the reference frame of each bracket by its number (1 is the first); if there is one bracket, a file name works too")
             .long_help(
-                "Set the reference frame of each bracket: its number (1 is the first); its file name only if there is one bracket\n\n\
+                "Set the reference frame of each bracket by its number (1 is the first); if there is one bracket, a file name works too\n\n\
                  The other frames are aligned to it. Photographs are numbered within their bracket: in the \
                  order of the command or, if a folder is given, in the order of their names. By default, \
                  the reference is the best exposed frame",

@@ -16,12 +16,12 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 const AFTER_HELP: &str = "\
-The input may come from any program: .exr, .hdr, and .tif with floating-point (as from Photoshop)
-or LogLuv pixels. Some programs write pixels with impossible values. These are changed, with a
-warning. A pixel with NaN (not a number) becomes black. An infinite value becomes the largest
-finite value of the image, and keeps its sign. After that, a pixel whose red, green or blue is
-negative becomes less saturated, until none of them is negative. If its luminance is not positive,
-it becomes black.
+The input is an .exr, .hdr or .tif file from any program. A .tif file needs floating-point or LogLuv
+pixels. hdralign changes pixels with impossible values, and prints a warning. A pixel with NaN (not
+a number) becomes black. An infinite value is replaced by the largest finite value of the image,
+with the same sign. After that, a pixel whose red, green or blue is negative becomes less
+saturated, until none of the three is negative. A pixel whose luminance is not positive becomes
+black.
 
 Examples:
   hdralign tonemap room.exr                           write room.png beside it
@@ -63,8 +63,8 @@ pub struct Args {
 
     /// Print no progress, summary or warnings, only errors and file names
     ///
-    /// For scripts: stdout is the same as without -q: the names of the files written, or JSON. Errors go to stderr.
-    /// Without -q, progress is shown if stderr is a terminal
+    /// Use -q in scripts. The option -q does not change stdout, which gets the names of the files written, or JSON.
+    /// Errors go to stderr. Without -q, progress is shown if stderr is a terminal
     #[arg(short, long, help_heading = OUTPUT)]
     quiet: bool,
 

@@ -108,7 +108,7 @@ pub(in crate::inspect) fn draw(title: &str, couple: &Couple) -> Result<Drawing, 
     let sides = views.frame.len() as f64;
     let room = (sides * size.0 + (sides - 1.0) * GAP, NAMES + size.1 + below);
     let mut notes =
-        "An edge in only one colour: the other frame is clipped or black there, or something moved.".to_owned();
+        "If an edge has only one colour, the other frame is clipped or black there, or something moved.".to_owned();
     if !boxes.is_empty() {
         notes += &format!(" Below: the marked areas, enlarged: {MAGNIFIED} px for each pixel of the photograph.");
     }

@@ -89,7 +89,7 @@ pub struct LocalReport {
 pub struct LocalFrame {
     /// Path of the file, as given.
     pub path: String,
-    /// Smallest and largest gain over the result, in stops.
+    /// Smallest and largest gain that the frame has anywhere in the result, in stops.
     pub gain_stops: (f64, f64),
 }
 

@@ -233,7 +233,8 @@ fn matched(matching: &Matching, [reference, frame]: &[Picture; 2], scale: f64) -
     let right = w + gap;
     let all = right + UNITS * frame.width;
     let inliers = matching.inliers();
-    let words = format!("{} matches with the reference, of which {inliers} agree on the motion.", matching.pairs.len());
+    let words =
+        format!("{} matches with the reference; {inliers} of these matches agree on one motion.", matching.pairs.len());
     let mut svg = opened((all, h), &words);
     svg += &behind(reference, 0);
     svg += &behind(frame, right);

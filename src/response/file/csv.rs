@@ -78,7 +78,7 @@ pub(crate) fn read(text: &str) -> Result<ResponseCurve, String> {
     let mut g = [[0.0; CODES]; 3];
     for ((g, x), name) in g.iter_mut().zip(&channels).zip(["red", "green", "blue"]) {
         *g = logarithms(x).ok_or_else(|| {
-            format!("the response of {name} must rise from the smallest to the largest pixel value, must not decrease in between, and must be positive from 127 of 255 on")
+            format!("the response of {name} is invalid: it must never decrease, its last value must be larger than its first, and it must be positive from pixel value 127 of 255 on")
         })?;
     }
     let mid = g.iter().map(|g| g[MID]).sum::<f64>() / 3.0;

@@ -212,8 +212,9 @@ impl SavedResponse {
     /// per channel, finite and increasing.
     pub fn from_json(text: &str, path: &Path) -> Result<Self> {
         let wrong = |reason: String| Error::ResponseFile { path: path.to_owned(), reason };
-        let header: Header = serde_json::from_str(text)
-            .map_err(|e| wrong(format!("it is not a JSON object whose key \"schema\" is a text ({e}){MAKE_ONE}")))?;
+        let header: Header = serde_json::from_str(text).map_err(|e| {
+            wrong(format!("it is not a JSON object with a text under the key \"schema\" ({e}){MAKE_ONE}"))
+        })?;
         if header.schema != SCHEMA {
             return Err(wrong(format!(
                 "it is a file of another kind or version: its schema is {:?}, but {SCHEMA:?} is required",

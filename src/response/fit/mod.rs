@@ -111,7 +111,7 @@ pub fn check(samples: &[Sample]) -> Fitted<()> {
     let (times, codes) = (span(samples, |v| v.ln_time), span(samples, |v| v.code));
     if times.1 - times.0 < STEP * LN_2 {
         return Err(format!(
-            "the exposures of the frames with usable places differ by only {:.2} stops; at least {STEP} stops are needed",
+            "all usable places are in frames whose exposures differ by only {:.2} stops; at least {STEP} stops are needed",
             stops(times.1 - times.0)
         ));
     }
@@ -221,8 +221,9 @@ pub mod scene {
         ((x ^ (x >> 29)) >> 11) as f64 / (1u64 << 53) as f64 - 0.5
     }
 
-    /// Returns `count` places of evenly spread brightness in the given exposures, taken by a camera whose response is
-    /// the function `code` of the exposure 0..=1.
+    /// Simulates `count` places whose brightness is evenly spread in stops. A camera photographs these places with the
+    /// given exposures, in stops. The response of the camera is the function `code` of the exposure 0..=1. Returns the
+    /// places that at least two exposures show neither clipped nor black.
     pub fn scene(count: usize, exposures: &[f64], code: impl Fn(f64) -> f64) -> Vec<Sample> {
         let place = |i: usize| {
             let ln_e = (9.0 * i as f64 / count as f64 - 7.0) * LN_2;

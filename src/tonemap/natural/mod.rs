@@ -125,7 +125,8 @@ pub fn natural(scene: &Scene, options: &Options) -> Tones {
     let fused = fused(&grid, &exposures, &photograph);
     let longest = OF_LONGEST * mean_code(&grid, &photograph, exposures[exposures.len() - 1]);
     let (brightness, powers) = match (options.brightness, scene.photographed) {
-        // Fused photographs already have the brightness of photographs, so they are only darkened.
+        // If photographs are known, the fused picture already has their brightness. It is then never brightened, so the
+        // smallest exponent is 1.
         (None, Some(_)) => (longest, (1.0, POWERS.1)),
         (asked, _) => (longest.min(asked.unwrap_or(BRIGHTNESS)), POWERS),
     };

@@ -13,8 +13,8 @@ pub enum Sample {
     /// half, or float if the radiance needs more range or precision.
     #[default]
     Auto,
-    /// 16-bit floats: values up to 65504. Rounding changes a value by at most 1/2048 of it; values below 0.00006 are
-    /// less exact.
+    /// 16-bit floats: values up to 65504. Rounding changes a value of 0.00006 or more by at most 1/2048 of the value.
+    /// Smaller values are less exact.
     Half,
     /// 32-bit floats: exactly as merged.
     Float,

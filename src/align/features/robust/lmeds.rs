@@ -1,10 +1,11 @@
 //! LMedS: the homography with the least median of squared distances.
 //!
 //! In: pairs of points, fewer than half of them wrong. Out: a [`Consensus`], or none. Cost: one fit and one pass over
-//! the pairs for each trial. For a confidence of 0.9999, there are 120 to 150 trials if the number of pairs is even or
-//! more than 50, up to 320 for a smaller odd number, and the maximum for five pairs. Source: Rousseeuw, "Least Median
-//! of Squares Regression", JASA 79(388), 1984. The scale from the median and the refit are from Rousseeuw & Leroy
-//! (Robust Regression and Outlier Detection, 1987, chapter 5).
+//! the pairs for each trial. The number of trials depends on the number of pairs. For a confidence of 0.9999, an even
+//! number of pairs, or more than 50 pairs, needs 120 to 150 trials. A smaller odd number of pairs needs up to 320
+//! trials. Five pairs need the maximum number of trials. Source: Rousseeuw, "Least Median of Squares Regression", JASA
+//! 79(388), 1984. Two steps are from Rousseeuw & Leroy (Robust Regression and Outlier Detection, 1987, chapter 5): the
+//! estimate of the standard deviation from the median, and the refit.
 //!
 //! Unlike RANSAC, LMedS needs no threshold, because the median measures the scatter of the inliers. It finds nothing if
 //! more than half of the pairs are wrong.
