@@ -280,7 +280,7 @@ mod tests {
         let grey = read_back(vec![channel("Y", floats(|i| i as f32 / 3.0))], Compression::ZIP16).unwrap();
         assert_eq!(grey.pixels.at(2, 1), [2.0; 3]);
         let depth = read_back(vec![channel("Z", floats(|_| 1.0))], Compression::ZIP16).unwrap_err();
-        assert!(depth.to_string().contains("but has Z"), "{depth}");
+        assert!(depth.to_string().contains("its channels are Z"), "{depth}");
     }
 
     #[test]

@@ -56,8 +56,10 @@ impl Search<'_> {
     fn checked_locally(&self, pair: &FramePair, estimate: &Estimate) -> Estimate {
         let field = LocalField::new(pair, &estimate.transform);
         // A frame from a tripod is not resampled only because things moved in the scene.
-        let is_moved = estimate.model != Model::Unmoved;
-        let dominant = if self.options.mode == AlignMode::Auto && is_moved { field.dominant(pair) } else { None };
+        let may_change = self.options.mode == AlignMode::Auto && estimate.model != Model::Unmoved;
+        let finer = if may_change { field.on_finer_level(pair) } else { None };
+        let field = finer.unwrap_or(field);
+        let dominant = if may_change { field.dominant() } else { None };
         let (field, estimate) = match dominant {
             Some((field, error_px)) => {
                 let transform = field.transform();

@@ -41,7 +41,7 @@ const LEAST_DISPLACED: f64 = 0.01;
 /// size.
 const LEAST_MISFIT_PX: f64 = 0.15;
 /// If the share of the cells that are displaced, minus its standard error, is this large, the confidence is halved, and
-/// the dominant motion is searched on a finer level. The aim is a confidence below one half if 3 % of the picture are
+/// the displacements are measured on a finer level. The aim is a confidence below one half if 3 % of the picture are
 /// displaced. The value is smaller than 3 %, because the measured share is too small at edges of depth. Measured on
 /// rendered scenes.
 pub(crate) const DISPLACED_HALVES: f64 = 0.025;
@@ -104,31 +104,32 @@ impl LocalField {
         LocalField { h, size, cells: smoothed(&matches, is_shown), matches }
     }
 
-    /// Returns this field with displacements from the [dominant motion](dominant) instead of the present transform, and
-    /// the error estimate of the dominant motion in pixels of the full size. None if the present transform fits nearly
-    /// as much of the picture.
-    ///
-    /// If many cells are displaced, the dominant motion is searched in the field of the next finer level.
-    pub(crate) fn dominant(&self, pair: &FramePair) -> Option<(Self, f64)> {
-        let misfit = self.misfit();
-        if self.cells.len() < LEAST_CELLS || misfit.rms_px < LEAST_MISFIT_PX {
+    /// Returns the field of the next finer level, if there is one and many cells are displaced. There, fewer patches
+    /// contain two motions.
+    pub(crate) fn on_finer_level(&self, pair: &FramePair) -> Option<Self> {
+        if self.misfit().displaced_surely < LEAST_DISPLACED {
             return None;
         }
         let h = off_level(&self.h, self.matches.level);
-        let is_finer = misfit.displaced_surely >= DISPLACED_HALVES;
-        let finer = if is_finer { self.matches.on_finer_level(pair, &h) } else { None };
-        let finer = finer.map(|matches| Self::of(matches, pair, &h));
-        let searched = finer.as_ref().unwrap_or(self);
-        let found = dominant::search(&searched.cells, &searched.h, searched.size, searched.scale())?;
-        let h = on_level(&off_level(&found.h, searched.matches.level), self.matches.level);
-        let back = h.try_inverse()? * self.h;
+        Some(Self::of(self.matches.on_finer_level(pair, &h)?, pair, &h))
+    }
+
+    /// Returns this field with displacements from the [dominant motion](dominant) instead of the present transform, and
+    /// the error estimate of the dominant motion in pixels of the full size. None if the present transform fits nearly
+    /// as much of the picture.
+    pub(crate) fn dominant(&self) -> Option<(Self, f64)> {
+        if self.cells.len() < LEAST_CELLS || self.misfit().rms_px < LEAST_MISFIT_PX {
+            return None;
+        }
+        let found = dominant::search(&self.cells, &self.h, self.size, self.scale())?;
+        let back = found.h.try_inverse()? * self.h;
         let moved = |cell: &Cell| {
             let ([x, y], [dx, dy]) = (cell.centre, cell.displacement);
             let (u, v) = map(&back, x + dx, y + dy);
             Cell { displacement: [u - x, v - y], ..*cell }
         };
         let cells = self.cells.iter().map(moved).collect();
-        Some((LocalField { h, cells, ..self.clone() }, searched.scale() * found.error))
+        Some((LocalField { h: found.h, cells, ..self.clone() }, self.scale() * found.error))
     }
 
     /// Returns the transform from which the displacements are measured, in pixels of the full size.

@@ -57,14 +57,14 @@ fn compromise_between_two_motions_is_replaced_by_the_motion_of_the_larger_part()
     let compromise = rigid(5.4, -2.0, 0.4);
     let pair = FramePair::new(&reference, &frame, &compromise);
     let field = LocalField::new(&pair, &compromise);
-    let (dominant, error_px) = field.dominant(&pair).unwrap();
+    let (dominant, error_px) = field.dominant().unwrap();
     // Patches at the edge between the two parts fit neither motion and increase the error.
     let off = distance(&dominant.transform(), &truth, SIZE.0, SIZE.1);
     assert!(off < 0.3 && error_px < 1.0, "{off} {error_px}");
     let (before, after) = (field.misfit().displaced.fraction, dominant.misfit().displaced.fraction);
     assert!(before > 0.9 && (after - 0.4).abs() < 0.06, "{before} {after}");
     // No other motion fits more of the picture.
-    assert!(dominant.dominant(&pair).is_none());
+    assert!(dominant.dominant().is_none());
 }
 
 #[test]
