@@ -35,15 +35,14 @@ const LEAST_CELLS: usize = 16;
 const DISPLACED_PX: f64 = 1.5;
 
 /// If less than this share of the cells is displaced, the displaced cells count as 0 in the root mean square. So few
-/// cells more likely show something that moved than depth.
+/// cells more likely show something that moved than depth. If clearly more are displaced, a finer level is used.
 const LEAST_DISPLACED: f64 = 0.01;
 /// The dominant motion is searched only if the root mean square displacement is at least this, in pixels of the full
 /// size.
 const LEAST_MISFIT_PX: f64 = 0.15;
-/// If the share of the cells that are displaced, minus its standard error, is this large, the confidence is halved, and
-/// the displacements are measured on a finer level. The aim is a confidence below one half if 3 % of the picture are
-/// displaced. The value is smaller than 3 %, because the measured share is too small at edges of depth. Measured on
-/// rendered scenes.
+/// If the share of the cells that are displaced, minus its standard error, is this large, the confidence is halved. The
+/// aim is a confidence below one half if 3 % of the picture are displaced. The value is smaller than 3 %, because the
+/// measured share is too small at edges of depth. Measured on rendered scenes.
 pub(crate) const DISPLACED_HALVES: f64 = 0.025;
 /// A cell is suspicious if it is displaced by at least this, in pixels of the full size.
 const SUSPICIOUS_PX: f64 = 1.0;
@@ -104,8 +103,8 @@ impl LocalField {
         LocalField { h, size, cells: smoothed(&matches, is_shown), matches }
     }
 
-    /// Returns the field of the next finer level, if there is one and many cells are displaced. There, fewer patches
-    /// contain two motions.
+    /// Returns the field of the next finer level, if there is one, and if clearly more than [`LEAST_DISPLACED`] of the
+    /// cells are displaced. On that level, fewer patches contain two motions.
     pub(crate) fn on_finer_level(&self, pair: &FramePair) -> Option<Self> {
         if self.misfit().displaced_surely < LEAST_DISPLACED {
             return None;
