@@ -6,8 +6,8 @@
 //! saturation-based speeds. The standard leaves half a stop for highlights; without it, the constant is 85 N^2 / (t S).
 //!
 //! The largest code value of a frame with exposure time t in s, f-number N and sensitivity S stands for the luminance L
-//! below. t, N and S are not the rounded values of EXIF but the exact steps of the camera; t S / N^2 includes the
-//! exposure correction of the merge.
+//! below. If the values in EXIF are recognised as rounded, t, N and S are the exact steps of the camera instead. t S /
+//! N^2 includes the exposure correction of the merge.
 //!
 //! ```text
 //! L = 87 N^2 / (t S)  cd/m2
@@ -148,8 +148,8 @@ impl Calibration {
 }
 
 /// Returns 87 N^2 / (t S) of `frame`, where t S / N^2 is its [relative
-/// exposure](crate::bracket::exposure::Exposure::relative). Unlike the rounded values in EXIF, the relative exposure
-/// has exact steps and includes the correction from the pixels; so luminance does not depend on which frame is the
+/// exposure](crate::bracket::exposure::Exposure::relative). Unlike the values in EXIF, the relative exposure usually has
+/// exact steps, and it includes the correction from the pixels. So luminance hardly depends on which frame is the
 /// reference.
 fn top_code_luminance(frame: &Frame) -> Result<f64> {
     let exposure = &frame.exposure;

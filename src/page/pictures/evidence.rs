@@ -269,7 +269,7 @@ mod tests {
         let svg = matched(&matching, &[photograph.clone(), photograph], 0.5);
         // Every fourth match has a line; every match has two dots.
         assert_eq!((svg.matches('L').count(), svg.matches("h0").count()), (91, 722));
-        assert!(svg.contains("361 matches") && svg.contains("181 agree"));
+        assert!(svg.contains("361 matches") && svg.contains("181 of these matches"));
         // The first match is at x = (0 + 1/2) * 0.5 * 2 = 0.5 units, which is rounded to the even number 0. The frame
         // begins at 416 units.
         assert!(svg.contains("M0 6L416 10"), "{}", &svg[..900]);

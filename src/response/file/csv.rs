@@ -221,7 +221,7 @@ mod tests {
         let rows = |columns: usize, row: &str| format!("# rows: 256\n# columns: {columns}\n") + &row.repeat(256);
         assert!(read("1;2;3\n").unwrap_err().contains("# rows: 256"));
         assert!(read(&rows(7, "0 1 2 3\n")).unwrap_err().contains("not have 7 numbers"));
-        assert!(read(&rows(7, "0 1 2 1 2 1 2\n")).unwrap_err().contains("must not decrease"));
+        assert!(read(&rows(7, "0 1 2 1 2 1 2\n")).unwrap_err().contains("must never decrease"));
         assert!(read("# rows: 16\n# columns: 7\n").unwrap_err().contains("16 rows"));
         assert!(read("# rows: many\n").unwrap_err().contains("many"));
         assert!(read("# rows: 256\n# columns: 7\n0 0 1 0 1 0 1\n").unwrap_err().contains("ends after 1"));
