@@ -131,7 +131,11 @@ impl Observation {
 /// tolerance [`FITS_PX`], the result is nearly the area of the cells that fit. If two motions fit the same cells, the
 /// motion that fits them better usually has the larger result.
 fn fitting(observations: &[Observation], step: &DVector<f64>) -> f64 {
-    observations.iter().map(|o| o.area * (1.0 - o.off(step).powi(4)).max(0.0)).sum()
+    let part = |o: &Observation| {
+        let square = o.off(step) * o.off(step);
+        o.area * (1.0 - square * square).max(0.0)
+    };
+    observations.iter().map(part).sum()
 }
 
 /// Returns the random sample of number `trial`: [`SAMPLE`] observations, always the same for the same number.

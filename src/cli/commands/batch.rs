@@ -154,7 +154,8 @@ struct Places {
     /// Set the folder for the results [default: beside the photographs]
     ///
     /// With `batch night -d out`, results of night/x/IMG_1.jpg go to out/x. If several of the given folders contain
-    /// brackets, the results go to out/night/x. The folder given with -d is not searched for photographs
+    /// brackets, the results go to out/night/x. The folder given with -d is searched only if it is also one of the folders
+    /// to search
     #[arg(short = 'd', long = "output-folder", value_name = "FOLDER")]
     output: Option<PathBuf>,
 

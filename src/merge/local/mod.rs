@@ -89,7 +89,8 @@ pub struct LocalReport {
 pub struct LocalFrame {
     /// Path of the file, as given.
     pub path: String,
-    /// Smallest and largest gain that the frame has anywhere in the result, in stops.
+    /// Smallest and largest gain, in stops, over the cells that are known in both the frame and the reference. Both are
+    /// 0 if there are none.
     pub gain_stops: (f64, f64),
 }
 

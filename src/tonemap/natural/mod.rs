@@ -125,8 +125,8 @@ pub fn natural(scene: &Scene, options: &Options) -> Tones {
     let fused = fused(&grid, &exposures, &photograph);
     let longest = OF_LONGEST * mean_code(&grid, &photograph, exposures[exposures.len() - 1]);
     let (brightness, powers) = match (options.brightness, scene.photographed) {
-        // If photographs are known, the fused picture already has their brightness. It is then never brightened, so the
-        // smallest exponent is 1.
+        // If photographs are known and no brightness is given, the fused picture already has their brightness. The
+        // exponent must not brighten it then, so it is at least 1.
         (None, Some(_)) => (longest, (1.0, POWERS.1)),
         (asked, _) => (longest.min(asked.unwrap_or(BRIGHTNESS)), POWERS),
     };

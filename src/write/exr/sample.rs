@@ -13,7 +13,7 @@ pub enum Sample {
     /// half, or float if the radiance needs more range or precision.
     #[default]
     Auto,
-    /// 16-bit floats: values up to 65504. Rounding changes a value of 0.00006 or more by at most 1/2048 of the value.
+    /// 16-bit floats: values up to 65504. Rounding changes a value of 0.000062 or more by at most 1/2048 of the value.
     /// Smaller values are less exact.
     Half,
     /// 32-bit floats: exactly as merged.

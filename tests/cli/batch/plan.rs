@@ -100,7 +100,7 @@ fn invalid_plan_is_rejected_with_its_line() {
     let line = &planned(&folder, "")[0];
     let id = line["id"].as_str().unwrap();
     let run = |options: &str| refused(folder.line(&format!("batch --run plan.jsonl {options}")));
-    assert!(run("--id nothing").contains("no job \"nothing\""));
+    assert!(run("--id nothing").contains("no job with id \"nothing\""));
     assert!(run("").contains("--id"));
     assert!(run(&format!("--id {id} --tmo drago")).contains("give it when the plan is made (--plan)"));
     folder.put("plan.jsonl", line.to_string().replace("hdralign 0", "hdralign 99").as_bytes());
