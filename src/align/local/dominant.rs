@@ -132,8 +132,8 @@ impl Observation {
 /// motion that fits them better usually has the larger result.
 fn fitting(observations: &[Observation], step: &DVector<f64>) -> f64 {
     let part = |o: &Observation| {
-        let square = o.off(step) * o.off(step);
-        o.area * (1.0 - square * square).max(0.0)
+        let t = o.off(step);
+        o.area * (1.0 - t * t * t * t).max(0.0)
     };
     observations.iter().map(part).sum()
 }

@@ -51,7 +51,7 @@ const SUSPICIOUS_PX: f64 = 1.0;
 const SUSPICIOUS: f64 = 0.01;
 
 /// The displacements of the cells of a picture from the positions that a transform gives.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(crate) struct LocalField {
     /// The transform from which the displacements are measured, in pixels of the level.
     h: Matrix3<f64>,
@@ -128,7 +128,8 @@ impl LocalField {
             Cell { displacement: [u - x, v - y], ..*cell }
         };
         let cells = self.cells.iter().map(moved).collect();
-        Some((LocalField { h: found.h, cells, ..self.clone() }, self.scale() * found.error))
+        let field = LocalField { h: found.h, matches: self.matches.clone(), size: self.size, cells };
+        Some((field, self.scale() * found.error))
     }
 
     /// Returns the transform from which the displacements are measured, in pixels of the full size.
