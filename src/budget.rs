@@ -147,10 +147,10 @@ impl Demand {
         if self.stages.deghosting { held + self.frames as u64 * self.cells() } else { 0 }
     }
 
-    /// Returns the bytes of alignment: the pyramids of all frames, and in addition the largest of three numbers. These
-    /// are the bytes of the comparison of frames on `threads` threads, up to the next larger level than that of the
-    /// features; the bytes of the features, which are detected in `detecting` frames at a time; and `whole`, the bytes of a frame that is read from disk (0 if all frames are
-    /// in memory).
+    /// Returns the bytes of alignment: the pyramids of all frames, and in addition the largest of three numbers. The
+    /// first are the bytes of the comparison of frames on `threads` threads; its largest level is one level finer than
+    /// that of the features. The second are the bytes of the features, which are detected in `detecting` frames at a
+    /// time. The third is `whole`, the bytes of a frame that is read from disk (0 if all frames are in memory).
     ///
     /// Before features are detected, the grey image is doubled in width and height; the bitmaps are not. Each bitmap
     /// is processed by one thread.

@@ -23,19 +23,22 @@ pub(super) fn validate(criterion: &Criterion) -> Result<()> {
     };
     match *criterion {
         Criterion::Psnr { least_db } => {
-            check("--min-psnr", least_db, f64::MAX, "a PSNR; give at least 0 dB, for example 40")
+            check("--min-psnr", least_db, f64::MAX, "a PSNR; give a finite number of at least 0 dB, for example 40")
         }
         Criterion::Pixels { tolerance, most_differing_percent } => {
             match tolerance {
                 Tolerance::ByKind => {}
-                Tolerance::Stops(v) => {
-                    check("--tolerance-stops", v, f64::MAX, "a tolerance; give at least 0 stops, for example 0.01")?
-                }
+                Tolerance::Stops(v) => check(
+                    "--tolerance-stops",
+                    v,
+                    f64::MAX,
+                    "a tolerance; give a finite number of at least 0 stops, for example 0.01",
+                )?,
                 Tolerance::DeltaE(v) => check(
                     "--tolerance-de",
                     v,
                     f64::MAX,
-                    "a tolerance; give a colour difference (dE) of at least 0, for example 1",
+                    "a tolerance; give a finite colour difference (dE) of at least 0, for example 1",
                 )?,
             }
             check("--max-differing", most_differing_percent, 100.0, "a percentage; give 0 to 100 percent of the pixels")
@@ -143,7 +146,10 @@ pub(super) fn decide(
         if not_comparable > 0 {
             return (
                 Outcome::Differs,
-                format!("{} different, and NaN or infinite in a file or after conversion", pixels_are(not_comparable)),
+                format!(
+                    "{} different, with a value that is NaN or infinite in a file or after conversion",
+                    pixels_are(not_comparable)
+                ),
             );
         }
         return match found {

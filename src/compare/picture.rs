@@ -41,8 +41,8 @@ const TEXT: f64 = 16.0;
 /// Number of decades that the scale of the false colours covers.
 const DECADES: f64 = 3.0;
 
-/// Colour of pixels that only one of the files has, and of pixels that differ and are NaN or infinite in a file or
-/// after conversion.
+/// Colour of pixels that only one of the files has. Also the colour of pixels that are different, if one of their
+/// values is NaN or infinite, either in a file or after conversion.
 const NOTHING: Colour = Colour(255, 0, 200);
 /// Colours below the tolerance: dark to light blue.
 const WITHIN: [[f64; 3]; 2] = [[20.0, 40.0, 110.0], [90.0, 160.0, 235.0]];

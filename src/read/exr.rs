@@ -188,7 +188,7 @@ fn colour(channels: &[Channel]) -> Option<[&Channel; 3]> {
 /// Returns Y for all three channels or, if there is chroma, RY, Y and BY.
 fn luminance(channels: &[Channel]) -> Option<[&Channel; 3]> {
     let named = |name: &str| channels.iter().find(|c| c.name.to_string() == name);
-    // The caller rejects a file with subsampled channels. Chroma is normally subsampled.
+    // Chroma is normally subsampled; the caller rejects such a file.
     Some(match (named("Y")?, named("RY"), named("BY")) {
         (y, Some(ry), Some(by)) => [ry, y, by],
         (y, ..) => [y; 3],

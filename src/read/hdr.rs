@@ -53,8 +53,8 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
                 metadata.exposure_scale = all.ok_or_else(|| {
                     format!(
                         "its header has `EXPOSURE={value}`; every EXPOSURE must be a number from 1e-20 to 1e20; if \
-                         there are several, their product must be in this range after each of them; correct the \
-                         header, or write the file again"
+                         there are several, they are multiplied one after another, and every product must be in this \
+                         range, too; correct the header, or write the file again"
                     )
                 })?;
             }
@@ -62,8 +62,8 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
                 corrections = corrected(corrections, value).ok_or_else(|| {
                     format!(
                         "its header has `COLORCORR={value}`; every COLORCORR must be three numbers from 1e-20 to \
-                         1e20, one for each channel; if there are several, the product for each channel must be in \
-                         this range after each of them; correct the header, or write the file again"
+                         1e20, one for each channel; if there are several, they are multiplied one after another, \
+                         and every product must be in this range, too; correct the header, or write the file again"
                     )
                 })?;
             }

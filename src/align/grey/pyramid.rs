@@ -130,8 +130,8 @@ mod tests {
 
     #[test]
     fn the_level_of_a_long_strip_by_its_short_side_was_kept() {
-        // Level 0 has 250 rows, fewer than 256. But it has more than 4 megapixels, so it is not kept, and level 1 is
-        // returned.
+        // Usually, a level with fewer than 256 rows would not be reduced further. Level 0 has 250 rows, but more than 4
+        // megapixels. So it is not kept, and level 1 is returned.
         let strip = GreyPyramid::of_rows((17_000, 250), |_, row| row.fill(90));
         assert_eq!((strip.passed, strip.level_narrower_than(256)), (1, 1));
     }

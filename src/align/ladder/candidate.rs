@@ -22,16 +22,16 @@ pub(crate) struct Candidate {
     /// The check of the transform by tiles.
     pub(crate) tiles: Arc<TileCheck>,
     /// The error estimate of the method that found the transform, in pixels of the full size; 0 if it is unknown or the
-    /// frame is set to unmoved. If the frame was aligned to a neighbour, the error of the neighbour is included: the
-    /// value is the root of the sum of the two squares, or the larger of the two errors after `reduce` has set the
-    /// frame to a smaller model.
+    /// frame is set to unmoved. If the frame was aligned to a neighbour, with the error a, and the neighbour has the
+    /// error b, the value is sqrt(a^2 + b^2). If `reduce` then chooses a smaller model, the value is the larger of the
+    /// error of this model and b.
     pub(crate) noise_px: f64,
-    /// The displacement of the tiles without the least error of its measurement, in pixels of the full size. It is
-    /// never negative. With enough tiles for a fit, it is sqrt(m^2 - e^2), where m is the distance of the fitted
-    /// transform from `transform` ([`TileFit::moved`]), and e the least error of the fit ([`TileFit::least_error`]).
-    /// With fewer tiles, it is the median displacement of the agreeing tiles minus [`TILE_NOISE_PX`]. If `reduce`
-    /// replaces the transform by one that tiles cannot distinguish from it, this value is kept. If `reduce` sets the
-    /// frame to unmoved, `reduce` limits this value.
+    /// The measured displacement of the tiles, reduced by the smallest error that the measurement may have, in pixels
+    /// of the full size. It is never negative. With enough tiles for a fit, it is sqrt(m^2 - e^2), where m is the
+    /// distance of the fitted transform from `transform` ([`TileFit::moved`]), and e the least error of the fit
+    /// ([`TileFit::least_error`]). With fewer tiles, it is the median displacement of the agreeing tiles minus
+    /// [`TILE_NOISE_PX`]. If `reduce` replaces the transform by one that tiles cannot distinguish from it, this value
+    /// is kept. If `reduce` sets the frame to unmoved, `reduce` limits this value.
     pub(crate) tiles_px: f64,
     /// The part of the displacement of the tiles that its expected error does not explain.
     pub(crate) excess_px: f64,

@@ -7,7 +7,7 @@
 //! CVIU 78(1), 2000 (a better fit counts more); Chum, Matas & Kittler, DAGM 2003 (the best samples are refined).
 //!
 //! The refinement on the pixels minimises the difference of the pixels. If the motions of the parts of a picture differ
-//! by a few pixels, its result is a compromise that fits no part exactly, and the part with the strongest contrast
+//! by a few pixels, its result is a compromise. It fits no part exactly, and fits the part with the strongest contrast
 //! best. Here, in contrast, all cells whose displacement is more precise than the tolerance have nearly equal weights,
 //! whatever their contrast. A less precise cell has a smaller weight, and a cell that moves differently has the weight
 //! 0.

@@ -34,8 +34,9 @@ const LEAST_CELLS: usize = 16;
 /// visible from 2 px on; the value is less, because a cell at an edge of depth measures the mean of two displacements.
 const DISPLACED_PX: f64 = 1.5;
 
-/// If less than this share of the cells is displaced, the displaced cells count as 0 in the root mean square. So few
-/// cells more likely show something that moved than depth. If clearly more are displaced, a finer level is used.
+/// If less than this share of the cells is displaced, the displaced cells count as 0 in the root mean square. Such a
+/// small part of the picture is more likely a thing that moved than an effect of depth. If clearly more are displaced,
+/// the mode `auto` uses a finer level for a frame that moved, if there is one.
 const LEAST_DISPLACED: f64 = 0.01;
 /// The dominant motion is searched only if the root mean square displacement is at least this, in pixels of the full
 /// size.
@@ -60,7 +61,7 @@ pub(crate) struct LocalField {
     /// Size of the level of the matches, in pixels.
     size: (usize, usize),
     /// The cells whose displacement is known.
-    cells: Vec<Cell>,
+    pub(super) cells: Vec<Cell>,
 }
 
 /// How many of the cells a transform does not fit. All lengths are in pixels of the full size.
@@ -138,7 +139,7 @@ impl LocalField {
     }
 
     /// Length of a pixel of the level, in pixels of the full size.
-    fn scale(&self) -> f64 {
+    pub(super) fn scale(&self) -> f64 {
         (1u64 << self.matches.level) as f64
     }
 
@@ -200,9 +201,9 @@ impl Sum {
     }
 }
 
-/// Returns the cells, each from the weighted sum of the matches around it. The weight of a match depends on its
-/// distance from the peak of the sum around the match itself. Sums and weights are computed alternately. `is_shown`
-/// tells whether the frame shows a position of the reference.
+/// Returns the cells, each from the weighted sum of the matches around it. A match has a small weight if its
+/// displacement differs from the peak of the sum of its own neighbourhood. Sums and weights are computed alternately.
+/// `is_shown` tells whether the frame shows a position of the reference.
 fn smoothed(matches: &Matches, is_shown: impl Fn([f64; 2]) -> bool) -> Vec<Cell> {
     // The patches around a cell are together 48 pixels wide. Narrower ones would fail on twigs and railings.
     let radius = matches.overlap();

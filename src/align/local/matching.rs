@@ -14,8 +14,8 @@ use nalgebra::Matrix3;
 use rayon::prelude::*;
 use std::sync::OnceLock;
 
-/// Side of a patch, in pixels of its level; 32 pixels of the full size in a photograph of 1 megapixel, and 16 pixels on
-/// the next finer level.
+/// Side of a patch, in pixels of its level. In a photograph of 1 megapixel, this is 32 pixels of the full size, and
+/// half of that on the next finer level.
 const SIDE: usize = 16;
 /// Largest displacement that is searched, as a share of the long side. Depth displaces near objects by up to 2 %; the
 /// rest is for the error of the transform.
@@ -121,14 +121,15 @@ impl Matches {
     /// Matches all patches of the next finer level, if there is one. They do not overlap. The search starts from the
     /// shifts in `self`. `h` is in pixels of the full size.
     ///
-    /// There a patch covers a quarter of the area, so that fewer patches contain two motions, as at railings and twigs.
+    /// On this level, a patch covers a quarter of the area. So fewer patches contain two motions, for example at
+    /// railings and twigs.
     pub(super) fn on_finer_level(&self, pair: &FramePair, h: &Matrix3<f64>) -> Option<Self> {
         let level = self.level.checked_sub(1)?;
         let reach = reach(pair, level).ceil() as usize + 1;
         Some(self.finer(pair, h, Grid { level, step: SIDE, reach, is_chessboard: false }, &[]))
     }
 
-    /// Number of patches along each side that contain a pixel.
+    /// Number of patches along a row, and along a column, to which a pixel belongs.
     pub(super) fn overlap(&self) -> usize {
         SIDE / self.step
     }
@@ -202,8 +203,8 @@ impl Matches {
         self.all.iter().flatten().filter(|m| matches!(m.found, Found::Still)).count()
     }
 
-    /// For the patch of the next finer level whose first pixel is `first`, the shifts of the patches of this level around
-    /// it, in pixels of the finer level.
+    /// Returns the shifts from which the search for a patch of the next finer level starts: those of the patches of
+    /// this level around it. `first` is the first pixel of the patch. All lengths are in pixels of the finer level.
     fn candidates(&self, first: [usize; 2]) -> Vec<Shift> {
         let [column, row] = first.map(|at| at / (2 * self.step));
         let near = |at: usize, count: usize| at.saturating_sub(1)..(at + 2).min(count);

@@ -83,10 +83,44 @@ fn caption_that_does_not_move_with_the_scene_is_not_displaced() {
     };
     let (reference, frame) = (labelled(reference.level(0)), labelled(frame.level(0)));
     let found = LocalField::new(&FramePair::new(&reference, &frame, &truth), &truth).misfit();
-    assert!(found.displaced.fraction < 0.03 && found.rms_px < 0.5, "{found:?}");
+    // The places beside the caption, whose patches contain both, are not known.
+    assert!(found.displaced.fraction == 0.0 && found.rms_px < 0.1, "{found:?}");
     // If the identity is given as the transform, it fits the caption, but most of the scene is displaced.
     let unmoved = LocalField::new(&FramePair::new(&reference, &frame, &Transform::Identity), &Transform::Identity);
     assert!(unmoved.misfit().displaced.fraction > 0.7, "{:?}", unmoved.misfit());
+}
+
+/// A picture that is large enough for a finer level, with bars of 40 px in front of the scene, 200 px apart, that move by
+/// 6 px more than the scene. Around a cell, 96 px count on the measured level, and 48 px on the finer one.
+#[test]
+fn on_the_finer_level_more_places_show_one_of_two_motions() {
+    let size = (1200, 800);
+    let (scene, bars) = (Scene::new(57), Scene::new(58));
+    let is_bar = |x: f64| x.rem_euclid(200.0) < 40.0;
+    let take = |moved: f64, shot| {
+        let radiance = |x: f64, y: f64| {
+            if is_bar(x - moved) { bars.radiance(x - moved, y) } else { scene.radiance(x, y) }
+        };
+        GreyPyramid::new(photograph(size, &Transform::Identity, shot, radiance))
+    };
+    let (reference, frame) = (take(0.0, Shot::at(0.0)), take(6.0, Shot::at(1.0)));
+    let pair = FramePair::new(&reference, &frame, &Transform::Identity);
+    let coarse = LocalField::new(&pair, &Transform::Identity);
+    let fine = coarse.on_finer_level(&pair).unwrap();
+    // Share of the cells that have moved like the scene or like the bars, to within a pixel.
+    let one_motion = |field: &LocalField| {
+        let off = |c: &cell::Cell, moved: f64| {
+            let [x, y] = c.displacement.map(|d| d * field.scale());
+            (x - moved).hypot(y)
+        };
+        let fits = field.cells.iter().filter(|c| off(c, 0.0).min(off(c, 6.0)) < 1.0).count();
+        fits as f64 / field.cells.len() as f64
+    };
+    let (before, after) = (one_motion(&coarse), one_motion(&fine));
+    assert!(after > before + 0.1, "{before} {after}");
+    // Nothing is displaced: there is no reason for a finer level.
+    let still = LocalField::new(&FramePair::new(&reference, &reference, &Transform::Identity), &Transform::Identity);
+    assert!(still.on_finer_level(&pair).is_none());
 }
 
 #[test]

@@ -158,7 +158,7 @@ impl fmt::Display for Reason {
             ),
             Reason::Single => write!(
                 f,
-                "a single photograph, which forms no bracket with the photographs before and after it; give --gap for another longest pause, or --bracket N for brackets of N frames"
+                "a single photograph, which forms no bracket with the photographs before and after it; give --gap to change the longest pause within a bracket, or --bracket N for brackets of N frames"
             ),
             Reason::Burst(count) => write!(
                 f,

@@ -197,16 +197,18 @@ fn divided(mut photographs: Vec<Placed>, options: &FindOptions, is_odd: bool) ->
     (grouped, left)
 }
 
-/// Sorts by time. Photographs with the same time are sorted by folder and name. If the camera's counter in the file
-/// names restarted among them within one folder, 9999 usually comes before 0001.
+/// Sorts by time. Photographs with the same time are sorted by folder and name. If, among those of one folder, the
+/// numbers in the names jump by more than 5000, the camera's counter restarted between them: 9999 comes before 0001.
 fn sort(photographs: &mut [Placed]) {
     let moment = |placed: &Placed| placed.shot.header.taken;
     photographs.sort_by(|a, b| moment(a).cmp(&moment(b)).then_with(|| natural(&a.shot.path, &b.shot.path)));
-    let is_one_tick = |a: &Placed, b: &Placed| moment(a).is_some() && moment(a) == moment(b);
+    let is_one_tick = |a: &Placed, b: &Placed| {
+        moment(a).is_some() && moment(a) == moment(b) && a.shot.path.parent() == b.shot.path.parent()
+    };
     for tick in photographs.chunk_by_mut(is_one_tick) {
         let numbers: Vec<Option<u32>> = tick.iter().map(|placed| number(&placed.shot.path)).collect();
-        let rolled = numbers.windows(2).position(|w| matches!(w, [Some(a), Some(b)] if a.abs_diff(*b) > 5000));
-        if let Some(at) = rolled {
+        let restarted = numbers.windows(2).position(|w| matches!(w, [Some(a), Some(b)] if *b > a + 5000));
+        if let Some(at) = restarted {
             tick.rotate_left(at + 1);
         }
     }

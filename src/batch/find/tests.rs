@@ -132,6 +132,19 @@ fn bracket_continues_over_the_rollover_of_the_counter() {
 }
 
 #[test]
+fn counter_that_restarts_within_a_second_is_recognised_in_one_folder_and_in_the_next() {
+    for folders in [["A", "A"], ["100CANON", "101CANON"]] {
+        let folder = tempfile::tempdir().unwrap();
+        let [before, after] = folders;
+        put(folder.path(), &format!("{before}/IMG_9998.JPG"), &Says { time: (1, 60), ..MIDDLE });
+        put(folder.path(), &format!("{before}/IMG_9999.JPG"), &Says { time: (1, 250), bias: -2, ..MIDDLE });
+        put(folder.path(), &format!("{after}/IMG_0001.JPG"), &Says { time: (1, 15), bias: 2, ..MIDDLE });
+        let found = found(folder.path(), &FindOptions::default());
+        assert_eq!(names(&found), ["9998 9999 0001"], "{folders:?}");
+    }
+}
+
+#[test]
 fn each_shot_is_used_once_and_results_never() {
     let folder = tempfile::tempdir().unwrap();
     put_bracket(folder.path(), 1, 0, &MIDDLE);

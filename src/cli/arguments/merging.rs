@@ -30,7 +30,7 @@ pub struct Merging {
     ///
     /// Things that moved are shown as in the reference frame. Strength 0 removes only clear ghosts. Strength 1 also
     /// removes faint ghosts. The value auto means strength 0.5. The value off removes no ghosts, so things that moved
-    /// may appear several times. The = before a value is required
+    /// may appear several times. A value must follow the = directly, as in --deghost=0.8
     #[arg(
         long,
         value_name = "STRENGTH",

@@ -27,11 +27,11 @@
 //! differs certainly if its difference reaches a limit that depends on the strength of deghosting. A connected region
 //! of cells that differ by at least half of this limit has moved in either of two cases:
 //!
-//! - A cell in the region differs certainly, and its [structure](super::structure) differs too. In addition, the change
-//!   of the ratio along the border is at least `EXPLAINED` times the limit.
-//! - The border of the region is long, and the change of the ratio along the border is at least half of the limit.
+//! - A cell in the region differs certainly, and its [structure](super::structure) differs too. In addition, the step
+//!   of the ratio across the border is at least `EXPLAINED` times the limit.
+//! - The border of the region is long, and the step of the ratio across the border is at least half of the limit.
 //!
-//! The change of the ratio along the border is a mean over the border cells of the region. For each border cell, it is
+//! The step of the ratio across the border is a mean over the border cells of the region. For each border cell, it is
 //! the largest change of the ratio of frame to standard from this cell to a neighbour, in standard deviations of the
 //! change. (The limit is a number of standard deviations too.)
 

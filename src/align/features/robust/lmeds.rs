@@ -1,8 +1,8 @@
 //! LMedS: the homography with the least median of squared distances.
 //!
 //! In: pairs of points, fewer than half of them wrong. Out: a [`Consensus`], or none. Cost: one fit and one pass over
-//! the pairs for each trial. The number of trials depends on the number of pairs. For a confidence of 0.9999, an even
-//! number of pairs, or more than 50 pairs, needs 120 to 150 trials. A smaller odd number of pairs needs up to 320
+//! the pairs for each trial. The number of trials depends on the number of pairs. If the number of pairs is even, or
+//! greater than 50, a confidence of 0.9999 needs 120 to 150 trials. A smaller odd number of pairs needs up to 320
 //! trials. Five pairs need the maximum number of trials. Source: Rousseeuw, "Least Median of Squares Regression", JASA
 //! 79(388), 1984. Two steps are from Rousseeuw & Leroy (Robust Regression and Outlier Detection, 1987, chapter 5): the
 //! estimate of the standard deviation from the median, and the refit.
