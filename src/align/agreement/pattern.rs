@@ -181,6 +181,17 @@ pub(crate) struct Pattern {
 impl Pattern {
     /// The pattern of a tile; none where it has too little contrast.
     pub(crate) fn new(both: &CommonExposure, left: usize, top: usize, side: usize) -> Option<Self> {
+        Self::with_contrast(both, left, top, side, LEAST_CONTRAST)
+    }
+
+    /// The pattern of a tile; none if the standard deviation of its pixels is less than `least`, in grey values.
+    pub(super) fn with_contrast(
+        both: &CommonExposure,
+        left: usize,
+        top: usize,
+        side: usize,
+        least: f32,
+    ) -> Option<Self> {
         let mut values = Vec::with_capacity(side * side);
         let mut mask = Vec::with_capacity(side * side);
         for y in top..top + side {
@@ -188,7 +199,7 @@ impl Pattern {
         }
         mask.extend(values.iter().map(|&v| if both.tones.weight(v) >= LEAST_WEIGHT { 1.0 } else { 0.0 }));
         let (count, energy) = vectorised(Centre { values: &mut values, mask: &mask });
-        let is_decided = count >= LEAST_PIXELS && energy >= LEAST_CONTRAST * LEAST_CONTRAST * count;
+        let is_decided = count >= LEAST_PIXELS && energy >= least * least * count;
         is_decided.then_some(Pattern { left, top, side, values, mask, count, energy })
     }
 

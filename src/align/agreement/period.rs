@@ -21,6 +21,9 @@ use rayon::prelude::*;
 const PIXELS: usize = 200_000;
 /// Side of a patch, in pixels of the examined level.
 const SIDE: usize = 32;
+/// A patch is used only if the standard deviation of its pixels is at least this, in grey values. It may be small,
+/// because the level is smoothed, and a picture is compared with itself: patches of noise are not alike.
+const LEAST_CONTRAST: f32 = 0.5;
 /// Number of patches along each side of the picture.
 const PATCHES: usize = 3;
 /// A shift is not examined if fewer patches than this can be compared under it.
@@ -58,7 +61,7 @@ pub(crate) fn periods(picture: &GreyPyramid, max_shift: f64) -> Vec<(f64, f64)> 
     let patch = |i: usize| {
         let place = |at: usize, length: usize| (2 * at + 1) * length / (2 * PATCHES) - SIDE / 2;
         let (left, top) = (place(i % PATCHES, width), place(i / PATCHES, height));
-        Some(((left, top), Pattern::new(both, left, top, SIDE)?))
+        Some(((left, top), Pattern::with_contrast(both, left, top, SIDE, LEAST_CONTRAST)?))
     };
     let patches: Vec<_> = (0..PATCHES * PATCHES).filter_map(patch).collect();
     let similarity = |(dx, dy): Shift| {
@@ -173,6 +176,20 @@ mod tests {
         let joint = |v: f64| (v - 0.1 * v.floor()).rem_euclid(27.0) < 2.0;
         let tiles = |x: f64, y: f64| if joint(x + 0.05 * y) || joint(y - 0.05 * x) { 0.4 } else { 1.0 };
         assert_ne!(periods(&taken(&tiles), REACH), []);
+    }
+
+    #[test]
+    fn faint_pattern_repeats_and_noise_does_not() {
+        // The pattern has a contrast of about two grey values, as plaster or cloth.
+        let scene = Scene::new(3);
+        let plaster =
+            |x: f64, y: f64| 1.0 + 0.02 * (scene.radiance(x.rem_euclid(34.0), y.rem_euclid(41.0)).log2() + 6.0);
+        let taken = |noise: f64, radiance: &(dyn Fn(f64, f64) -> f64 + Sync)| {
+            let shot = Shot { noise, ..Shot::at(0.0) };
+            GreyPyramid::new(photograph(SIZE, &Transform::Identity, shot, radiance))
+        };
+        assert_ne!(periods(&taken(0.2, &plaster), REACH), []);
+        assert_eq!(periods(&taken(1.5, &|_, _| 1.0), REACH), []);
     }
 
     #[test]

@@ -10,7 +10,7 @@
 
 use crate::align::agreement::pattern::PEAK_BIAS;
 use crate::align::agreement::{TileCheck, TileDisplacement};
-use crate::align::transform::{Block, Increment, Model, blocks, covariance};
+use crate::align::transform::{Block, Increment, Model, blocks, fitted_error};
 use crate::statistics::{MEDIAN_SQUARE, TUKEY, biweight, median};
 use nalgebra::{DMatrix, DVector, Matrix3};
 
@@ -83,7 +83,7 @@ pub(crate) fn fit(check_tiles: &TileCheck, h: &Matrix3<f64>, size: (usize, usize
                 (a, score)
             };
             let scores: Vec<Block> = parts.into_iter().map(score).collect();
-            let scatter = basis.expected_error(&covariance(&scores, &prior, CORRELATION_FACTOR)?);
+            let scatter = fitted_error(&basis, &scores, &prior, CORRELATION_FACTOR)?;
             let moved = h * basis.matrix(&step);
             let significance = (step.dot(&(&a * &step)) / n as f64).max(0.0).sqrt() / CORRELATION_FACTOR;
             return Some(TileFit {

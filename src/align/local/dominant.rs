@@ -13,7 +13,7 @@
 //! 0.
 
 use crate::align::local::cell::{Cell, square};
-use crate::align::transform::{Block, Increment, Model, blocks, covariance};
+use crate::align::transform::{Block, Increment, Model, blocks, fitted_error};
 use crate::statistics::{TUKEY, biweight, random};
 use nalgebra::{DMatrix, DVector, Matrix3};
 
@@ -240,6 +240,6 @@ impl Fit<'_> {
         };
         let scores: Vec<Block> = blocks(cells.iter().map(|cell| cell.centre), size).into_iter().map(block).collect();
         let prior = self.prior(step, CORRELATION_FACTOR).0;
-        Some(self.basis.expected_error(&covariance(&scores, &prior, CORRELATION_FACTOR)?))
+        fitted_error(&self.basis, &scores, &prior, CORRELATION_FACTOR)
     }
 }

@@ -72,9 +72,9 @@ pub(crate) struct Misfit {
     /// The share of the cells that are displaced, minus the standard error of this share, 0..=1. The standard error is
     /// large if few cells are known, as in a dark frame.
     pub(crate) displaced_surely: f64,
-    /// Root mean square displacement of the cells, minus the part that is due to [`PEAK_BIAS`]. Displacements that are
-    /// not significant count as 0. If the share of the displaced cells is less than [`LEAST_DISPLACED`], these count as
-    /// 0, too.
+    /// Root mean square displacement over the picture, minus the part that is due to [`PEAK_BIAS`]. Each cell counts
+    /// with the area that it stands for. Displacements that are not significant count as 0. If the share of the
+    /// displaced cells is less than [`LEAST_DISPLACED`], these count as 0, too.
     pub(crate) rms_px: f64,
 }
 
@@ -86,7 +86,7 @@ impl LocalField {
         let near = matching::near(pair, &h);
         let unmatched = near.unmatched();
         let field = Self::of(near, pair, &h);
-        let displaced = field.lengths_px().filter(|&px| px >= SUSPICIOUS_PX).count() + unmatched;
+        let displaced = field.lengths_px().filter(|(px, _)| *px >= SUSPICIOUS_PX).count() + unmatched;
         if displaced as f64 <= SUSPICIOUS * (field.cells.len() + unmatched) as f64 {
             return field;
         }
@@ -143,9 +143,9 @@ impl LocalField {
         (1u64 << self.matches.level) as f64
     }
 
-    /// The lengths of the significant displacements, in pixels of the full size.
-    fn lengths_px(&self) -> impl Iterator<Item = f64> {
-        let length = |&Cell { displacement: [x, y], .. }: &Cell| self.scale() * (x * x + y * y).sqrt();
+    /// The lengths of the significant displacements, in pixels of the full size, each with the area of its cell.
+    fn lengths_px(&self) -> impl Iterator<Item = (f64, f64)> {
+        let length = |&Cell { displacement: [x, y], area, .. }: &Cell| (self.scale() * (x * x + y * y).sqrt(), area);
         self.cells.iter().filter(|c| c.is_significant()).map(length)
     }
 
@@ -154,8 +154,7 @@ impl LocalField {
         if self.cells.len() < LEAST_CELLS {
             return Misfit::default();
         }
-        let lengths: Vec<f64> = self.lengths_px().collect();
-        let displaced: Vec<f64> = lengths.iter().copied().filter(|&px| px >= DISPLACED_PX).collect();
+        let displaced: Vec<f64> = self.lengths_px().map(|(px, _)| px).filter(|&px| px >= DISPLACED_PX).collect();
         // Captions, watermarks, dust and the fixed noise of the sensor stay at the same pixels when the camera moves.
         // Such cells are ignored, unless their share exceeds [`MOST_STILL`]: then the transform may be wrong, so they
         // count as displaced.
@@ -164,7 +163,9 @@ impl LocalField {
         let all = (self.cells.len() + still) as f64;
         let fraction = (displaced.len() + still) as f64 / all;
         let most_px = if fraction < LEAST_DISPLACED { DISPLACED_PX } else { f64::INFINITY };
-        let squares = lengths.iter().filter(|&&px| px < most_px).map(|px| px * px).sum::<f64>();
+        let counting = self.lengths_px().filter(|&(px, _)| px < most_px);
+        // The mean area of a cell is 1.
+        let squares = counting.map(|(px, area)| area * px * px).sum::<f64>();
         let bias_px = self.scale() * PEAK_BIAS;
         let independent = (all / self.matches.overlap().pow(2) as f64).max(1.0);
         Misfit {

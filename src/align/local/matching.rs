@@ -28,6 +28,11 @@ const COARSEST_REACH: isize = 3;
 const ENOUGH_CORRELATION: f32 = 0.9;
 /// A patch matches only where its correlation is at least this.
 const LEAST_CORRELATION: f32 = 0.5;
+/// A patch matches at another position than the one that the transform gives only if its correlation is at least this
+/// (it explains half of the variance of the patch). If a frame is blurred, patterns that are finer than the blur may be
+/// inverted, because the transfer function of a blur has negative lobes (Goodman, Introduction to Fourier Optics, 6.4).
+/// Such a pattern matches half a period away, with a lower correlation.
+const LEAST_DISPLACED_CORRELATION: f32 = 0.7;
 
 /// The best match of a patch.
 #[derive(Debug, Clone, Copy)]
@@ -162,7 +167,8 @@ impl Matches {
             let (best, shift) =
                 correlations.search(self.candidates([column, row].map(|at| at * step)).iter().chain(starts))?;
             let centre = [column, row].map(|at| (at * step) as f64 + (SIDE as f64 - 1.0) / 2.0);
-            let peak = Peak::around(shift, |shift| correlations.at(shift)).filter(|_| best >= LEAST_CORRELATION);
+            let least = if shift == (0, 0) { LEAST_CORRELATION } else { LEAST_DISPLACED_CORRELATION };
+            let peak = Peak::around(shift, |shift| correlations.at(shift)).filter(|_| best >= least);
             if shift == (0, 0) && best >= ENOUGH_CORRELATION {
                 return Some(Match {
                     shift,

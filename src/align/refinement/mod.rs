@@ -18,7 +18,7 @@ use crate::align::refinement::frame_pair::Point;
 use crate::align::refinement::patch::Patches;
 use crate::align::resampling::cubic::cubic;
 use crate::align::transform::{
-    Block, Increment, Model, Transform, blocks, covariance, map, off_level, on_level, restrict, to_transform,
+    Block, Increment, Model, Transform, blocks, fitted_error, map, off_level, on_level, restrict, to_transform,
 };
 use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};
@@ -36,8 +36,11 @@ const LEAST_POINTS: usize = 50;
 /// The actual error, divided by the error that would result if the noise of all pixels were independent. In fact,
 /// smoothing, JPEG and aliasing correlate the noise of neighbouring pixels. Used to weight the prior against the
 /// pixels. Measured on rendered brackets. The error estimate depends on this value in two ways: through the prior, and,
-/// if only few blocks have detail, directly (see [`covariance`]).
+/// if only few blocks have detail, directly (see [`fitted_error`]).
 const NOISE_FACTOR: f64 = 4.0;
+/// Error that all points of a frame have in common, in pixels of the level. It is due to the interpolation between
+/// pixels, and the residuals do not show it. Measured on rendered brackets whose frames are shifted.
+const INTERPOLATION_BIAS: f64 = 0.005;
 /// Number of points that a thread processes at a time.
 const PIECE: usize = 1024;
 
@@ -175,9 +178,9 @@ impl<'a> Stage<'a> {
         };
         let places = self.points.iter().map(|p| [p.x, p.y]);
         let blocks: Vec<Block> = blocks(places, self.size).into_iter().map(block).collect();
-        let covariance = covariance(&blocks, &prior, NOISE_FACTOR)?;
-        let error_px = (1u64 << self.level) as f64 * basis.expected_error(&covariance);
-        Some((transform, Some(error_px)))
+        let error = fitted_error(&basis, &blocks, &prior, NOISE_FACTOR)?;
+        let error = (error * error + INTERPOLATION_BIAS * INTERPOLATION_BIAS).sqrt();
+        Some((transform, Some((1u64 << self.level) as f64 * error)))
     }
 }
 

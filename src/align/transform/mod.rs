@@ -8,7 +8,7 @@ mod covariance;
 mod increment;
 mod model;
 
-pub(crate) use covariance::{Block, blocks, covariance};
+pub(crate) use covariance::{Block, blocks, fitted_error};
 pub(crate) use increment::Increment;
 pub use model::Model;
 pub(crate) use model::{restrict, to_transform};
