@@ -148,9 +148,10 @@ impl Demand {
     }
 
     /// Returns the bytes of alignment: the pyramids of all frames, and in addition the largest of three numbers. The
-    /// first are the bytes of the comparison of frames on `threads` threads; its largest level is one level finer than
-    /// that of the features. The second are the bytes of the features, which are detected in `detecting` frames at a
-    /// time. The third is `whole`, the bytes of a frame that is read from disk (0 if all frames are in memory).
+    /// first are the bytes of the comparison of frames on `threads` threads. It reads levels up to the one that has
+    /// twice the width and height of the level of the features. The second are the bytes of the features, which are
+    /// detected in `detecting` frames at a time. The third is `whole`, the bytes of a frame that is read from disk (0
+    /// if all frames are in memory).
     ///
     /// Before features are detected, the grey image is doubled in width and height; the bitmaps are not. Each bitmap
     /// is processed by one thread.

@@ -132,7 +132,7 @@ pub enum Error {
     },
     /// No part of the reference is in all frames.
     #[error(
-        "{}: no part of {} is in all frames, and the rectangle that this frame covers is the smallest; exclude this frame with --leave-out (in a batch, use `hdralign merge` for this), or correct the transform of this frame if you gave a file of transforms",
+        "{}: no part of {} is in all frames; of all frames, this one covers the smallest rectangle of it; exclude this frame with --leave-out (in a batch, use `hdralign merge` for this), or correct the transform of this frame if you gave a file of transforms",
         path.display(),
         reference.display()
     )]

@@ -41,7 +41,7 @@ pub enum Weight {
     /// Picard 1995.
     MannPicard,
     /// Frames with less noise count more. The weight is 1 / variance; the variance is the sum of those of noise, rounding, and an
-    /// assumed error of response and exposure. It falls to 0 near black and white.
+    /// assumed error of response and exposure. The weight falls to 0 near black and white.
     Noise,
 }
 

@@ -14,7 +14,7 @@ use nalgebra::Matrix3;
 
 /// A tile is undecided if the standard deviation of its pixels is less than this, in grey values. Only pixels with at
 /// least `LEAST_WEIGHT` are used.
-const LEAST_CONTRAST: f32 = 2.5;
+pub(super) const LEAST_CONTRAST: f32 = 2.5;
 
 /// A tile is undecided if fewer than this number of its pixels have at least `LEAST_WEIGHT`. The number is small, so
 /// that a lamp at night suffices.

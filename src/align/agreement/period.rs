@@ -8,7 +8,7 @@
 //! similarity stays low. In a facade, it is high again when the shift is the period, and low when it is half the
 //! period.
 
-use crate::align::agreement::pattern::{Pattern, Shift, Warped};
+use crate::align::agreement::pattern::{LEAST_CONTRAST, Pattern, Shift, Warped};
 use crate::align::agreement::{Agreement, check_tiles};
 use crate::align::grey::{GreyPyramid, level_within, measured_level};
 use crate::align::refinement::{FramePair, refine};
@@ -21,9 +21,10 @@ use rayon::prelude::*;
 const PIXELS: usize = 200_000;
 /// Side of a patch, in pixels of the examined level.
 const SIDE: usize = 32;
-/// A patch is used only if the standard deviation of its pixels is at least this, in grey values. It may be small,
-/// because the level is smoothed, and a picture is compared with itself: patches of noise are not alike.
-const LEAST_CONTRAST: f32 = 0.5;
+/// If too few patches have the contrast of other patterns ([`LEAST_CONTRAST`]), patches are used whose standard deviation
+/// is at least this, in grey values. It may be small: the level is smoothed, and two patches of noise at different
+/// places of a picture are not alike.
+const FAINT_CONTRAST: f32 = 1.0;
 /// Number of patches along each side of the picture.
 const PATCHES: usize = 3;
 /// A shift is not examined if fewer patches than this can be compared under it.
@@ -58,12 +59,16 @@ pub(crate) fn periods(picture: &GreyPyramid, max_shift: f64) -> Vec<(f64, f64)> 
     let pair = FramePair::new(picture, picture, &Transform::Identity);
     let both = pair.level(level);
     let warped = Warped::new(&both.frame, &Matrix3::identity(), (width, height), 0);
-    let patch = |i: usize| {
-        let place = |at: usize, length: usize| (2 * at + 1) * length / (2 * PATCHES) - SIDE / 2;
-        let (left, top) = (place(i % PATCHES, width), place(i / PATCHES, height));
-        Some(((left, top), Pattern::with_contrast(both, left, top, SIDE, LEAST_CONTRAST)?))
+    let patches = |contrast: f32| -> Vec<((usize, usize), Pattern)> {
+        let patch = |i: usize| {
+            let place = |at: usize, length: usize| (2 * at + 1) * length / (2 * PATCHES) - SIDE / 2;
+            let (left, top) = (place(i % PATCHES, width), place(i / PATCHES, height));
+            Some(((left, top), Pattern::with_contrast(both, left, top, SIDE, contrast)?))
+        };
+        (0..PATCHES * PATCHES).filter_map(patch).collect()
     };
-    let patches: Vec<_> = (0..PATCHES * PATCHES).filter_map(patch).collect();
+    let clear = patches(LEAST_CONTRAST);
+    let patches = if clear.len() < LEAST_PATCHES { patches(FAINT_CONTRAST) } else { clear };
     let similarity = |(dx, dy): Shift| {
         let within =
             |at: usize, shift: isize, length: usize| at.checked_add_signed(shift).is_some_and(|at| at + SIDE <= length);
@@ -121,8 +126,9 @@ pub(crate) fn periods(picture: &GreyPyramid, max_shift: f64) -> Vec<(f64, f64)> 
 }
 
 /// Returns the refined shift, in pixels of the full size, if tiles all over the picture match under it: the agreeing
-/// tiles must outnumber the disagreeing ones by at least `least`. Without this check, the few patches of [`periods`]
-/// may match in a picture that does not repeat, for example on the parts of a lampshade.
+/// tiles must outnumber the disagreeing ones by at least `least`; if no tile has enough contrast, the shift is
+/// confirmed. Without this check, the few patches of [`periods`] may match in a picture that does not repeat, for
+/// example on the parts of a lampshade.
 fn confirmed(pair: &FramePair, (dx, dy): (f64, f64), least: f64) -> Option<(f64, f64)> {
     let (width, height) = pair.size();
     let measured = measured_level(pair.reference());
@@ -180,10 +186,10 @@ mod tests {
 
     #[test]
     fn faint_pattern_repeats_and_noise_does_not() {
-        // The pattern has a contrast of about two grey values, as plaster or cloth.
+        // The grey values of the pattern vary by six, with a standard deviation of about 1.3, like plaster or cloth.
         let scene = Scene::new(3);
         let plaster =
-            |x: f64, y: f64| 1.0 + 0.02 * (scene.radiance(x.rem_euclid(34.0), y.rem_euclid(41.0)).log2() + 6.0);
+            |x: f64, y: f64| 1.0 + 0.03 * (scene.radiance(x.rem_euclid(34.0), y.rem_euclid(41.0)).log2() + 6.0);
         let taken = |noise: f64, radiance: &(dyn Fn(f64, f64) -> f64 + Sync)| {
             let shot = Shot { noise, ..Shot::at(0.0) };
             GreyPyramid::new(photograph(SIZE, &Transform::Identity, shot, radiance))

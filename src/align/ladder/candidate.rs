@@ -21,10 +21,10 @@ pub(crate) struct Candidate {
     pub(crate) transform: Transform,
     /// The check of the transform by tiles.
     pub(crate) tiles: Arc<TileCheck>,
-    /// The error estimate of the method that found the transform, in pixels of the full size; 0 if it is unknown or the
-    /// frame is set to unmoved. If the frame was aligned to a neighbour, with the error a, and the neighbour has the
-    /// error b, the value is sqrt(a^2 + b^2). If `reduce` then chooses a smaller model, the value is the larger of the
-    /// error of this model and b.
+    /// The error estimate of the method that found the transform, in pixels of the full size; 0 if it is unknown, or if
+    /// the frame is set to unmoved and was not aligned to a neighbour. If the frame was aligned to a neighbour, with
+    /// the error a, and the neighbour has the error b, the value is sqrt(a^2 + b^2). If `reduce` then chooses a smaller
+    /// model, the value is the larger of the error of this model and b.
     pub(crate) noise_px: f64,
     /// The measured displacement of the tiles, reduced by the smallest error that the measurement may have, in pixels
     /// of the full size. It is never negative. With enough tiles for a fit, it is sqrt(m^2 - e^2), where m is the

@@ -28,8 +28,8 @@ const COARSEST_REACH: isize = 3;
 const ENOUGH_CORRELATION: f32 = 0.9;
 /// A patch matches only where its correlation is at least this.
 const LEAST_CORRELATION: f32 = 0.5;
-/// A patch matches at another position than the one that the transform gives only if its correlation is at least this
-/// (it explains half of the variance of the patch). If a frame is blurred, patterns that are finer than the blur may be
+/// At another position than that of the transform, a patch matches only if its correlation is at least this (it then
+/// explains half of the variance of the patch). If a frame is blurred, patterns that are finer than the blur may be
 /// inverted, because the transfer function of a blur has negative lobes (Goodman, Introduction to Fourier Optics, 6.4).
 /// Such a pattern matches half a period away, with a lower correlation.
 const LEAST_DISPLACED_CORRELATION: f32 = 0.7;
@@ -126,8 +126,8 @@ impl Matches {
     /// Matches all patches of the next finer level, if there is one. They do not overlap. The search starts from the
     /// shifts in `self`. `h` is in pixels of the full size.
     ///
-    /// On this level, a patch covers a quarter of the area. So fewer patches contain two motions, for example at
-    /// railings and twigs.
+    /// On this level, a patch covers a quarter of the area of the scene that it covers on the previous level. So fewer
+    /// patches contain two motions, for example at railings and twigs.
     pub(super) fn on_finer_level(&self, pair: &FramePair, h: &Matrix3<f64>) -> Option<Self> {
         let level = self.level.checked_sub(1)?;
         let reach = reach(pair, level).ceil() as usize + 1;

@@ -2,10 +2,10 @@
 //!
 //! In: two frames and a transform. Out: the displacement of each cell of the picture from the position that the
 //! transform gives ([`LocalField`]), and the share of the cells that are displaced ([`Misfit`](field::Misfit)). Cost,
-//! on the level on which agreement is measured: nine correlations for each pixel in half of the patches, with three
-//! multiply-adds per pixel and correlation. If more than a hundredth of the patches seem displaced or match nowhere,
-//! there are some hundred more correlations for every pixel. If the frame moved and many cells are displaced, there are
-//! some ten more for every pixel of the next finer level.
+//! on the level on which agreement is measured: every second patch is matched, with nine correlations of three
+//! multiply-adds per pixel. If more than a hundredth of the patches seem displaced or match nowhere, there are some
+//! hundred more correlations for every pixel. If the frame moved and many cells are displaced, there are some ten more
+//! for every pixel of the next finer level.
 //!
 //! The tiles of [`agreement`](crate::align::agreement) show whether a transform is right at all: they are large, and
 //! their displacement is searched within a few pixels only. Near objects, rolling shutter and moving things displace

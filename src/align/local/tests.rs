@@ -83,15 +83,16 @@ fn caption_that_does_not_move_with_the_scene_is_not_displaced() {
     };
     let (reference, frame) = (labelled(reference.level(0)), labelled(frame.level(0)));
     let found = LocalField::new(&FramePair::new(&reference, &frame, &truth), &truth).misfit();
-    // The places beside the caption, whose patches contain both, are not known.
+    // Beside the caption, patches contain parts of the caption and of the scene. The displacement there is not known.
     assert!(found.displaced.fraction == 0.0 && found.rms_px < 0.1, "{found:?}");
     // If the identity is given as the transform, it fits the caption, but most of the scene is displaced.
     let unmoved = LocalField::new(&FramePair::new(&reference, &frame, &Transform::Identity), &Transform::Identity);
     assert!(unmoved.misfit().displaced.fraction > 0.7, "{:?}", unmoved.misfit());
 }
 
-/// A picture that is large enough for a finer level, with bars of 40 px in front of the scene, 200 px apart, that move by
-/// 6 px more than the scene. Around a cell, 96 px count on the measured level, and 48 px on the finer one.
+/// A picture that is large enough for a finer level, with bars of 40 px in front of the scene, 200 px apart, that move
+/// by 6 px more than the scene. A cell uses the patches in a square around it, whose side is 96 px on the measured
+/// level and 48 px on the finer one.
 #[test]
 fn on_the_finer_level_more_places_show_one_of_two_motions() {
     let size = (1200, 800);

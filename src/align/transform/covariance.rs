@@ -48,14 +48,15 @@ pub(crate) fn blocks(places: impl Iterator<Item = [f64; 2]>, size: (usize, usize
     blocks
 }
 
-/// Returns the expected root mean square error over the picture of the parameters of `basis`, in pixels: the larger of
-/// the errors from the `blocks` and from squares of 2 x 2 blocks. For the arguments, see [`covariance`].
+/// Returns the root mean square error over the picture that is to be expected of the parameters of `basis`, in pixels.
+/// It is estimated twice, from the `blocks` and from the [`larger`] blocks; the larger estimate is returned. For the
+/// arguments, see [`covariance`].
 pub(crate) fn fitted_error(basis: &Increment, blocks: &[Block], prior: &DMatrix<f64>, factor: f64) -> Option<f64> {
     let error = |blocks: &[Block]| Some(basis.expected_error(&covariance(blocks, prior, factor)?));
     Some(error(blocks)?.max(error(&larger(blocks))?))
 }
 
-/// Adds up the squares of 2 x 2 blocks.
+/// Joins each 2 x 2 blocks to a larger block.
 fn larger(blocks: &[Block]) -> Vec<Block> {
     let side = BLOCKS / 2;
     let square = |i: usize| {
@@ -191,7 +192,7 @@ mod tests {
         assert!((&found - &expected).norm() < 0.03 * expected.norm(), "{found} {expected}");
     }
 
-    /// The textbook version: assigns the observations to the larger blocks themselves.
+    /// The textbook version: for each larger block, adds up the small blocks that are inside it.
     #[test]
     fn larger_blocks_are_those_of_half_the_number_along_each_side() {
         let side = BLOCKS / 2;
@@ -207,7 +208,7 @@ mod tests {
 
     #[test]
     fn residuals_that_are_alike_in_large_parts_have_the_error_of_the_larger_blocks() {
-        // The residuals of each ninth of the picture are the same; those of independent observations are not.
+        // If `alike`, all observations in a ninth of the picture have the same residual. If not, each has its own.
         let basis = Increment::new(Model::Shift, SIDE, SIDE);
         let error = |alike: bool| {
             let third = SIDE / 3;
@@ -228,7 +229,8 @@ mod tests {
             (small, fitted_error(&basis, &fitted, &none, 1.0).unwrap())
         };
         // Four small blocks have the same residual, so the error of the mean is that of nine values, not of 36: twice
-        // as much. The factor (B - 1) / B, and that a ninth is left out instead of a 36th, change this by 4 % and 9 %.
+        // as much. Two things change this: the factor (B - 1) / B by 4 %, and the larger part that is left out (a
+        // ninth) by 9 %.
         let (small, both) = error(true);
         assert!((both / small - 2.0 * 0.96 * 1.09).abs() < 0.02, "{small} {both}");
         let (small, both) = error(false);

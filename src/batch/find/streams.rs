@@ -198,7 +198,8 @@ fn divided(mut photographs: Vec<Placed>, options: &FindOptions, is_odd: bool) ->
 }
 
 /// Sorts by time. Photographs with the same time are sorted by folder and name. If, among those of one folder, the
-/// numbers in the names jump by more than 5000, the camera's counter restarted between them: 9999 comes before 0001.
+/// numbers rise by more than 5000 from one name to the next, the camera's counter restarted there: 9999 comes before
+/// 0001.
 fn sort(photographs: &mut [Placed]) {
     let moment = |placed: &Placed| placed.shot.header.taken;
     photographs.sort_by(|a, b| moment(a).cmp(&moment(b)).then_with(|| natural(&a.shot.path, &b.shot.path)));

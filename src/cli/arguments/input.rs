@@ -74,8 +74,8 @@ pub struct Work {
 
     /// Print no progress, summary or warnings, only errors and file names
     ///
-    /// Use -q in scripts. The option -q does not change stdout, which gets the names of the result files, JSON, or the
-    /// list of --dry-run. Errors go to stderr. Without -q, progress is shown if stderr is a terminal
+    /// Use -q in scripts. The option -q does not change stdout, which gets the names of the result files or JSON, and in
+    /// `batch` the list of --dry-run. Errors go to stderr. Without -q, progress is shown if stderr is a terminal
     #[arg(short, long, help_heading = OUTPUT)]
     pub quiet: bool,
 }

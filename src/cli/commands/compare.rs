@@ -186,7 +186,7 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
             row(
                 "odd",
                 format!(
-                    "{} pixels are different, with a value that is NaN or infinite in a file or after conversion",
+                    "{} pixels are different because a value is NaN or infinite, in a file or after conversion",
                     radiance.not_comparable_pixels
                 ),
             );

@@ -14,7 +14,7 @@
 //! L = 87 N^2 / (t S)  cd/m2
 //! ```
 //!
-//! and lower code values follow from the response. This is empirical: manufacturers rate sensitivity and shape curves
+//! and lower code values follow from the response. This is empirical: manufacturers define sensitivity and curves
 //! differently, lenses lose light, times are rounded. Expect an error of half a stop (a factor of 0.7 to 1.4), the same
 //! for all pictures of one camera, lens and aperture. One reading of a luminance meter removes the error: the factor is
 //! measured luminance divided by reported luminance.

@@ -13,9 +13,9 @@
 //! 3. A contrast curve is applied. A power function darkens the picture if the longest exposure is dark. If the
 //!    photographs are not known, this function also aims at the brightness of a typical photograph.
 //! 4. Linear functions carry luminance from the grid to the pixels (`guide`). A photograph shows the same place in
-//!    different colours, depending on the exposure. A pixel gets about the colour that it would have in the exposure in
-//!    which its luminance would be that of the tone-mapped pixel. If the photographs are not known, the hue is nearly
-//!    that of the scene, and chroma is never increased.
+//!    different colours, depending on the exposure. For each pixel, the exposure is chosen in which it would be as
+//!    bright as it is in the tone-mapped picture. The pixel gets about the colour that it would have in this exposure.
+//!    If the photographs are not known, the hue is nearly that of the scene, and chroma is never increased.
 //!
 //! The constants below were chosen by eye and in blind comparisons on sixteen photographed brackets.
 
