@@ -40,8 +40,8 @@ pub enum Weight {
     /// Values count most where the response is steep. There, one more stop of light changes the value most. Mann &
     /// Picard 1995.
     MannPicard,
-    /// Frames with less noise count more. The weight is 1 / variance; the variance is the sum of those of noise, rounding, and an
-    /// assumed error of response and exposure. The weight falls to 0 near black and white.
+    /// Frames with less noise count more. The weight is 1 / variance; the variance is the sum of those of noise,
+    /// rounding, and an assumed error of response and exposure. The weight falls to 0 near black and white.
     Noise,
 }
 

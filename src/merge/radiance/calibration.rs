@@ -3,8 +3,8 @@
 //! In: a [`Calibration`], the reference frame and the response. Out: the luminance of radiance 1, or `None` if radiance
 //! stays relative. Cost: one multiplication per value. Source: the constant is that of Greg Ward's hdrgen,
 //! [`CAMERA_CONSTANT`]. For comparison, ISO 12232:2019, section 6.2, derives 120 N^2 / (t S) for saturation-based
-//! speeds (120 is 78 / 0.65). The standard leaves half a stop for highlights; without it, the constant is 85 N^2 / (t
-//! S).
+//! speeds (120 is 78 / 0.65). The standard leaves half a stop for highlights; without this half stop, the constant is
+//! 85 N^2 / (t S).
 //!
 //! The largest code value of a frame with exposure time t in s, f-number N and sensitivity S stands for the luminance L
 //! below. If the values in EXIF are recognised as rounded, t, N and S are the exact steps of the camera instead. t S /
