@@ -1,9 +1,9 @@
 //! Block matching from coarse to fine: the displacement of small patches from the position that a transform gives.
 //!
 //! In: a [`FramePair`] and a transform. Out: a [`Match`] for each patch of a level.
-//! Cost: nine correlations for a patch that is not displaced, about forty for a displaced one. Source: the search
-//! starts from the displacements of the neighbours on the coarser level, as in Hasinoff et al., "Burst Photography",
-//! SIGGRAPH Asia 2016, section 4; normalised cross-correlation (Lewis 1995).
+//! Cost: nine correlations for a patch that is not displaced, about thirty for a displaced one. Source: the search
+//! starts from the best of the displacements of the neighbours on the coarser level, as in Hasinoff et al., "Burst
+//! Photography", SIGGRAPH Asia 2016, section 4; normalised cross-correlation (Lewis 1995).
 
 use crate::align::agreement::TileDisplacement;
 use crate::align::agreement::pattern::{Pattern, Peak, Shift, Warped};
@@ -145,7 +145,8 @@ impl Matches {
     }
 
     /// Returns the matches of the patches of `grid`, a level that is finer by one than that of `self`. The search
-    /// starts from (0, 0), from the shifts in `self`, and from `starts`. `h` is in pixels of the full size.
+    /// starts from (0, 0), and from the best of the shifts in `self` and in `starts`. `h` is in pixels of the full
+    /// size.
     fn finer(&self, pair: &FramePair, h: &Matrix3<f64>, grid: Grid, starts: &[Shift]) -> Self {
         let Grid { level, step, reach, is_chessboard } = grid;
         let h = &on_level(h, level);
@@ -209,7 +210,7 @@ impl Matches {
         self.all.iter().flatten().filter(|m| matches!(m.found, Found::Still)).count()
     }
 
-    /// Returns the shifts from which the search for a patch of the next finer level starts: those of the patches of
+    /// Returns the shifts from which the search for a patch of the next finer level may start: those of the patches of
     /// this level around it. `first` is the first pixel of the patch. All lengths are in pixels of the finer level.
     fn candidates(&self, first: [usize; 2]) -> Vec<Shift> {
         let [column, row] = first.map(|at| at / (2 * self.step));
@@ -262,23 +263,23 @@ impl Correlations<'_> {
         correlation
     }
 
-    /// Returns the best correlation and its shift, searched from (0, 0) and from the `candidates`; none if the patch is
-    /// outside the frame.
+    /// Returns the correlation and the shift of the match; none if the patch is outside the frame. The search climbs
+    /// from (0, 0) and, unless the patch already matches there, from the candidate with the highest correlation. The
+    /// second result is used only if it is clearly better.
     fn search<'c>(&mut self, candidates: impl Iterator<Item = &'c Shift>) -> Option<(f32, Shift)> {
         if self.at((0, 0)).is_nan() {
             return None;
         }
-        let mut best = self.climb((0, 0));
-        if best.1 == (0, 0) && best.0 >= ENOUGH_CORRELATION {
-            return Some(best);
+        let here = self.climb((0, 0));
+        if here.1 == (0, 0) && here.0 >= ENOUGH_CORRELATION {
+            return Some(here);
         }
-        for &candidate in candidates {
-            let found = self.climb(candidate);
-            if is_better(found.0, best.0) {
-                best = found;
-            }
-        }
-        Some(best)
+        let known = candidates.map(|&shift| (self.at(shift), shift)).filter(|(correlation, _)| !correlation.is_nan());
+        let Some((_, start)) = known.reduce(|best, other| if other.0 > best.0 { other } else { best }) else {
+            return Some(here);
+        };
+        let other = self.climb(start);
+        Some(if is_better(other.0, here.0) { other } else { here })
     }
 
     /// Climbs from the shift `start` to a local maximum of the correlation; returns the correlation and the shift
@@ -300,8 +301,8 @@ impl Correlations<'_> {
     }
 }
 
-/// The shifts with a distance of [`COARSEST_REACH`] along one or both axes, from which the search on the coarsest level
-/// of [`far`] also starts.
+/// The shifts with a distance of [`COARSEST_REACH`] along one or both axes: on the coarsest level of [`far`], the
+/// candidates for the start of the search.
 const RIM: [Shift; 8] = [(-3, -3), (0, -3), (3, -3), (-3, 0), (3, 0), (-3, 3), (0, 3), (3, 3)];
 /// The eight neighbours of a shift.
 const AROUND: [Shift; 8] = [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)];
