@@ -18,7 +18,8 @@
 //! | loading | all frames, buffers of the decoders | buffers of as many decoders as fit |
 //! | alignment | all frames, all grey pyramids, features of a frame per thread | all pyramids, one frame or its features |
 //! | deghosting | all frames, cells | one frame, cells |
-//! | merging | all frames, the radiance map | rows of all frames and of radiance, in half of the remaining memory |
+//! | merging | all frames, the radiance map | rows of all frames and of radiance, in half of what remains of the memory
+//! limit |
 //! | tone mapping | all frames, the radiance map, the overview | the overview, rows of radiance |
 //! | fusion | all frames, the radiance map, pyramids of the fusion | pyramids of the fusion, one frame |
 //! | inspection | as for alignment, but with all pyramid levels; drawings | the same |
@@ -148,10 +149,10 @@ impl Demand {
     }
 
     /// Returns the bytes of alignment: the pyramids of all frames, and in addition the largest of three numbers. The
-    /// first are the bytes of the comparison of frames on `threads` threads. It reads levels up to the one that has
-    /// twice the width and height of the level of the features. The second are the bytes of the features, which are
-    /// detected in `detecting` frames at a time. The third is `whole`, the bytes of a frame that is read from disk (0
-    /// if all frames are in memory).
+    /// first are the bytes of the comparison of frames on `threads` threads. It converts whole levels up to the one
+    /// that has twice the width and height of the level of the features; of finer levels it reads only patches. The
+    /// second are the bytes of the features, which are detected in `detecting` frames at a time. The third is `whole`,
+    /// the bytes of a frame that is read from disk (0 if all frames are in memory).
     ///
     /// Before features are detected, the grey image is doubled in width and height; the bitmaps are not. Each bitmap
     /// is processed by one thread.
@@ -218,7 +219,7 @@ impl Demand {
 pub(crate) fn tonemapping(limits: &Limits, size: (usize, usize), threads: usize) -> std::result::Result<usize, String> {
     let demand = Demand { stages: Stages::default(), frames: 0, size, frame: 0, decoding: 0 };
     let held = (RADIANCE + 3) * demand.pixels() + TONES * demand.pixels().min(Demand::OVERVIEW_CELLS);
-    limits.check_memory_while("tone-mapped", size, held + demand.thread())?;
+    limits.check_memory_while("tone-mapping", size, held + demand.thread())?;
     let rest = limits.memory.unwrap_or(u64::MAX) - held;
     Ok(threads.min(usize::try_from(rest / demand.thread()).unwrap_or(usize::MAX)))
 }

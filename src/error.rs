@@ -94,7 +94,7 @@ pub enum Error {
         given: usize,
     },
     /// The frames have different sizes.
-    #[error("{}: is {}x{} pixels, but {} is {}x{}; all frames of a bracket must have the same size (orientation applied)",
+    #[error("{}: is {}x{} pixels, but {} is {}x{}; all frames of a bracket must have the same size (after rotation by their EXIF orientation)",
             path.display(), size.0, size.1, other.display(), other_size.0, other_size.1)]
     SizeMismatch {
         /// The frame that differs.
@@ -130,9 +130,9 @@ pub enum Error {
         /// Why no other frame is merged, and what to do.
         reason: String,
     },
-    /// No part of the reference is in all frames.
+    /// No part of the reference is in all merged frames.
     #[error(
-        "{}: no part of {} is in all frames; of all frames, this one covers the smallest rectangle of it; exclude this frame with --leave-out (in a batch, use `hdralign merge` for this), or correct the transform of this frame if you gave a file of transforms",
+        "{}: no part of {} is in all merged frames; of these, this one covers the smallest rectangle of it, or nothing; exclude this frame with --leave-out (in a batch, use `hdralign merge` for this), or correct the transform of this frame if you gave a file of transforms",
         path.display(),
         reference.display()
     )]
@@ -263,8 +263,8 @@ pub enum Error {
         /// Why the response cannot be recovered.
         reason: String,
     },
-    /// The frames are locally processed by the camera, so they have no response.
-    #[error("{}: the frames are locally processed by the camera, so there is no response to save; merge without `--save-response` or `--shared-response`, or use frames taken with the camera's HDR mode off", path.display())]
+    /// The camera tone-mapped the frames locally, so they have no response.
+    #[error("{}: the camera changed parts of the frames (local tone mapping), so there is no response to save; merge without `--save-response` or `--shared-response`, or use frames taken with the camera's HDR mode off", path.display())]
     LocallyProcessed {
         /// The reference frame.
         path: PathBuf,

@@ -45,8 +45,8 @@ impl Limits {
         }
         if pixels > u128::from(self.max_pixels) {
             return Err(format!(
-                "it has {width}x{height} pixels by its header, more than the {} allowed; if that is right, give \
-                 `--max-pixels {}M`; otherwise it is damaged, copy the file again",
+                "according to its header it has {width}x{height} pixels, more than the {} allowed; if it is really so \
+                 large, give `--max-pixels {}M`; otherwise it is damaged, copy the file again",
                 words(self.max_pixels),
                 pixels.div_ceil(1_000_000)
             ));
@@ -64,21 +64,21 @@ impl Limits {
     /// # Errors
     /// The reason and what to do, if `bytes` exceeds the limit or what the system provides.
     pub(crate) fn check_memory(&self, size: (usize, usize), bytes: u64) -> Result<(), String> {
-        self.check_memory_while("decoded", size, bytes)
+        self.check_memory_while("decoding", size, bytes)
     }
 
-    /// As [`check_memory`](Self::check_memory) for another operation; `done` is its past participle, for the message.
+    /// As [`check_memory`](Self::check_memory) for another operation; `doing` is its name for the message, such as
+    /// "decoding".
     ///
     /// # Errors
     /// Those of [`check_memory`](Self::check_memory).
     pub(crate) fn check_memory_while(
         &self,
-        done: &str,
+        doing: &str,
         (width, height): (usize, usize),
         bytes: u64,
     ) -> Result<(), String> {
-        let needs =
-            || format!("its {width}x{height} pixels need {} MB while they are {done}", bytes.div_ceil(1_000_000));
+        let needs = || format!("{doing} its {width}x{height} pixels needs {} MB", bytes.div_ceil(1_000_000));
         if let Some(allowed) = self.memory.filter(|&allowed| bytes > allowed) {
             let allowed = allowed / 1_000_000;
             return Err(format!(

@@ -329,8 +329,8 @@ pub fn align_only(images: &[PathBuf], options: &Options, watch: Watch) -> Result
     })
 }
 
-/// Aligns the bracket `images` and writes the data that show how it was aligned into `folder`: tables, bitmaps and
-/// drawings.
+/// Aligns the bracket `images`, and writes tables, bitmaps and drawings that show the alignment. They are written into
+/// `folder`.
 ///
 /// Uses only the options for loading, alignment, threads and overwriting. Returns the tables, which list the files.
 ///

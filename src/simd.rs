@@ -57,7 +57,7 @@ static CHOSEN: AtomicU8 = AtomicU8::new(Arm::Native as u8);
 /// Selects `arm` for the whole process if this processor supports it; returns whether it does.
 ///
 /// The results do not depend on the code path. Only tests and benches need to select one.
-#[must_use = "false means that the processor does not support this code path, so another one remains selected"]
+#[must_use = "if false is returned, the processor does not support this code path, and another one remains selected"]
 pub fn choose(arm: Arm) -> bool {
     let is_supported = arm.arch().is_some();
     if is_supported {

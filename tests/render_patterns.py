@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
 """Renders pairs of exposures with known motion that mislead an alignment: patterns that stay at the same pixels while
-the scene moves, scenes that repeat (also too finely for the pixels), and scenes without sharp detail.
+the scene moves, scenes that repeat, scenes with a weave near the limit of what the pixels resolve, and scenes without
+sharp detail.
 
     tests/render_patterns.py OUT PICTURE_OR_FOLDER... [--cases N] [--seed S] [--width W] [--kinds NAME,NAME...]
 
@@ -199,7 +200,7 @@ def render(out, paths, kind, rng, w):
     return [(out / f["file"], f["exposure"]) for f in frames]
 
 def useful(path):
-    """Not a photograph that is very dark or bright, of which a stretched range shows only steps; not a small one."""
+    """Whether it is a radiance map, or a photograph that is not small and not dark or bright (their stretched range has steps)."""
     small = cv2.imread(str(path), cv2.IMREAD_REDUCED_GRAYSCALE_4)
     return path.suffix.lower() == ".hdr" or small is not None and min(small.shape) >= 120 and 75 < small.mean() < 165
 

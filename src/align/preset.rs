@@ -109,7 +109,7 @@ pub(crate) fn check(placement: &Placement, (width, height): (usize, usize)) -> s
     if is_sane {
         return Ok(());
     }
-    Err("its homography is invalid: its nine numbers must be finite, and it must neither mirror the picture nor \
-         move one of its corners behind the camera; copy the numbers from a file that hdralign wrote"
+    Err("its homography is invalid: its nine numbers must be finite, and it must not mirror the picture, flatten it to \
+         a line, or tilt it so far that a corner lies beyond the horizon; copy the numbers from a file that hdralign wrote"
         .into())
 }

@@ -157,7 +157,7 @@ impl SavedAlignment {
             return Ok(());
         }
         let reason = format!(
-            "it is for other photographs, because its reference {} is not among these; to write the transforms of these, give the name of a new file",
+            "it is for other photographs, because its reference {} is not among those of this run; to write new transforms, give the name of a new file",
             self.reference.display()
         );
         Err(Error::TransformsFile { path: path.to_owned(), reason })

@@ -118,7 +118,7 @@ impl Template {
             )));
         }
         if text.is_empty() || text.ends_with('/') {
-            return Err(refused(format!("{text:?} does not end with a name; append `{{first}}-{{last}}`")));
+            return Err(refused(format!("{text:?} has no name of a file at its end; append `{{first}}-{{last}}`")));
         }
         Ok(Template(parts))
     }
@@ -218,8 +218,8 @@ mod tests {
             ("first}", "brace"),
             ("../{first}", "contains `..`"),
             ("/tmp/{first}", "begins with"),
-            ("{folder}/", "does not end with a name"),
-            ("", "does not end with a name"),
+            ("{folder}/", "has no name of a file at its end"),
+            ("", "has no name of a file at its end"),
         ] {
             let error = Template::parse(wrong).unwrap_err();
             assert!(error.is_usage() && error.to_string().contains(said), "{wrong}: {error}");

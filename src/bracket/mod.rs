@@ -292,7 +292,7 @@ impl Bracket {
     /// # Panics
     /// If there is no such frame.
     pub fn with_reference(self, reference: usize) -> Self {
-        assert!(reference < self.frames.len(), "the reference is one of the frames");
+        assert!(reference < self.frames.len(), "there is no frame {reference}");
         Bracket { reference, ..self }
     }
 

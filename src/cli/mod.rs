@@ -58,7 +58,7 @@ enum Command {
     Compare(commands::compare::Args),
     /// Print a script that lets a shell complete commands with the Tab key
     Completions(commands::completions::Args),
-    /// Print the manual in the format of the Unix command man, or write it for all commands
+    /// Print the manual page (for the Unix command man), or write those of all commands
     Man(commands::man::Args),
 }
 
@@ -66,7 +66,7 @@ const AFTER_HELP: &str = "\
 Exit codes:
   0  done
   1  failed; no file was written
-     (exception: if hdralign could not print to stdout, all files were written and are complete)
+     (or all files were written completely, and only printing to stdout failed)
   2  wrong usage
   3  written, but degraded; only with --strict, which `hdralign merge --help` explains
   compare: 0 same, 1 different, 2 error
@@ -110,7 +110,7 @@ fn program() -> clap::Command {
             clap::Arg::new("help").short('h').long("help").action(clap::ArgAction::Help).help_heading(None::<&str>);
         command.disable_help_flag(true).arg(
             help.help("Print the most used options (--help prints all)")
-                .long_help("Print all options (-h prints the most used)"),
+                .long_help("Print help: -h with the most used options, --help with all"),
         )
     })
 }

@@ -127,8 +127,7 @@ mod tests {
 
     #[test]
     fn lines_keep_within_the_width_and_lose_no_word() {
-        let text =
-            "the exposures in the files contradict the pixels (estimated from the pixels instead), give -e to set them";
+        let text = "the exposures in the EXIF data contradict the pixels (estimated from the pixels instead), give -e to set them";
         let lines = Terminal::plain(60).wrapped(text, 9);
         assert!(lines.len() > 1 && lines.iter().all(|l| measure_text_width(l) <= 50));
         assert_eq!(lines.join(" "), text);

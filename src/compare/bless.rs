@@ -4,7 +4,8 @@
 //! Cost: a copy and an fsync.
 //!
 //! The copy is written beside its target and renamed, so that readers get either the old file or the complete new one.
-//! The copy gets the permissions of the replaced file, except those that the actual file does not have.
+//! A copy that replaces a file gets the permissions of that file. A new file gets no permission that the actual file
+//! does not have.
 
 use super::input::{Input, Pixels};
 use crate::error::{Error, Result, Warning};

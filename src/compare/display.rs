@@ -5,7 +5,7 @@
 //!
 //! If the two profiles are equivalent, pixels are equal if and only if their code values are equal. Otherwise the
 //! colours that the code values represent are compared. CIELAB is relative to the white of the expected picture. For
-//! PU21, the display is assumed to have a white of 100 cd/m2 and a black of 0.
+//! PU21 (see `pu21`), the display is assumed to have a white of 100 cd/m2 and a black of 0.
 
 use super::ciede2000::{self, Lab};
 use super::light::Codes;

@@ -343,7 +343,7 @@ fn check_memory(a: &Input, b: &Input, allowed: &limits::Limits) -> Result<()> {
     let each = if matches!(a.pixels, Pixels::Radiance(..)) { MEASURED.0 } else { MEASURED.1 };
     let bytes = a.bytes() + b.bytes() + each * width as u64 * height as u64;
     let refused = |reason| Error::Option { option: "--max-memory", reason: format!("{}: {reason}", a.side().path) };
-    allowed.check_memory_while("compared", a.size(), bytes).map_err(refused)
+    allowed.check_memory_while("comparing", a.size(), bytes).map_err(refused)
 }
 
 /// Compares the file `actual` with the file `expected`.

@@ -147,7 +147,7 @@ pub(super) fn decide(
             return (
                 Outcome::Differs,
                 format!(
-                    "{} different because a value is NaN or infinite, in a file or after conversion",
+                    "{} different because a value is NaN or infinite, in a file or after conversion to the other colour space",
                     pixels_are(not_comparable)
                 ),
             );

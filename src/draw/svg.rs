@@ -253,7 +253,7 @@ impl Drawing {
         self.marks.push(Mark::Svg(element + "\n"));
     }
 
-    /// Returns the page as SVG; the viewer draws the text.
+    /// Returns the page as SVG. Text stays text, which the viewer draws with its own fonts.
     pub fn to_svg(&self) -> String {
         self.written(false)
     }

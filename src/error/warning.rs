@@ -29,7 +29,7 @@ pub enum Warning {
     },
     /// A frame is too dark or too bright to be aligned; its transform is assumed from those of the other frames.
     #[error(
-        "{}: too {} to be aligned ({reason}): its transform is assumed from the other frames, within {error_px:.1} px; the radiance uses this frame only where the other frames are {}; exclude this frame with --leave-out (in a batch, use `hdralign merge` for this)",
+        "{}: too {} to be aligned ({reason}): its position is estimated from the other frames, probably to within {error_px:.1} px; the radiance uses it only where the other frames are {}; if it is misaligned there, exclude it with --leave-out (in a batch, use `hdralign merge` for this)",
         path.display(),
         if *is_dark { "dark" } else { "bright" },
         if *is_dark { "clipped" } else { "black" }
@@ -95,9 +95,9 @@ pub enum Warning {
         /// Why the frames cannot be aligned.
         reason: String,
     },
-    /// Exposures in the files contradict the pixels; some or all were replaced by estimates.
+    /// Exposures in the EXIF data contradict the pixels; some or all were replaced by estimates.
     #[error(
-        "exposures in the files contradict the pixels ({detail}), so some or all are estimated from the pixels instead; give -e to set them"
+        "exposures in the EXIF data contradict the pixels ({detail}), so some or all are estimated from the pixels instead; give -e to set them"
     )]
     ExposureContradicted {
         /// The exposures of the files and the estimates.

@@ -57,7 +57,7 @@ impl Tables {
                     "Table {}. {name}: motion found from each kind of keypoint alone, compared with the alignment",
                     4 + 2 * i
                 ),
-                "px: distance between two positions of a pixel, that of this motion and that of the alignment (root mean square over the picture).",
+                "px: how far apart this motion and the alignment place the same pixel (root mean square over the picture).",
                 &["EV", "plain", "px", "MTB", "px", "merged", "px"],
                 &|frame| comparison_row(frame, detected(frame)),
             );

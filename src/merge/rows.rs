@@ -34,8 +34,8 @@ impl Loops for MergedRow<'_, '_> {
 
 /// Computes the weight of each frame in the first row of a tile, for the report.
 pub(super) struct WeighedRow<'a, 'b> {
-    /// The kind of frames whose weights are computed: frames with an assumed transform that fill pixels of this kind,
-    /// or, if `None`, frames with known transforms.
+    /// The frames whose weights are computed: with `None`, those with known transforms; otherwise those with an assumed
+    /// transform that fill this kind of pixels.
     pub fill: Option<Fill>,
     pub layers: &'a [Layer<'b>],
     pub tiles: &'a [Tile],

@@ -37,11 +37,11 @@ pub enum Weight {
     Plateau,
     /// All values count the same, clipped or not.
     Uniform,
-    /// Values count most where the response is steep. There, one more stop of light changes the value most. Mann &
-    /// Picard 1995.
+    /// A pixel value counts more if one more stop of light changes it more. Mann & Picard 1995.
     MannPicard,
-    /// Frames with less noise count more. The weight is 1 / variance; the variance is the sum of those of noise,
-    /// rounding, and an assumed error of response and exposure. The weight falls to 0 near black and white.
+    /// Frames with less noise count more. The weight is 1 / variance. The variance is that of the noise (standard
+    /// deviation: at least one code value) and of an assumed error of response and exposure. The weight falls to 0 near
+    /// black and white.
     Noise,
 }
 

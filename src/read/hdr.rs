@@ -52,18 +52,17 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
                 let all = factor.and_then(|factor| metadata.exposure_scale.times(factor));
                 metadata.exposure_scale = all.ok_or_else(|| {
                     format!(
-                        "its header has `EXPOSURE={value}`; every EXPOSURE must be a number from 1e-20 to 1e20; if \
-                         there are several, they are multiplied one after another, and every product must be in this \
-                         range, too; correct the header, or write the file again"
+                        "its header has `EXPOSURE={value}`; each EXPOSURE, and its product with those before it, must be \
+                         from 1e-20 to 1e20; correct the header, or write the file again"
                     )
                 })?;
             }
             "COLORCORR" => {
                 corrections = corrected(corrections, value).ok_or_else(|| {
                     format!(
-                        "its header has `COLORCORR={value}`; every COLORCORR must be three numbers from 1e-20 to \
-                         1e20, one for each channel; if there are several, they are multiplied one after another, \
-                         and every product must be in this range, too; correct the header, or write the file again"
+                        "its header has `COLORCORR={value}`; each COLORCORR must be three numbers, one for each channel; \
+                         these, and their products with those before, must be from 1e-20 to 1e20; correct the header, \
+                         or write the file again"
                     )
                 })?;
             }

@@ -69,7 +69,7 @@ impl Contents {
         self.metadata.cd_m2_per_unit = luminance.and_then(Factor::new);
         if let (Some(luminance), None) = (luminance, self.metadata.cd_m2_per_unit) {
             self.notes.push(format!(
-                "its {name} is {luminance}, which is not between 1e-20 and 1e20; its radiance is assumed to be relative"
+                "its radiance is treated as relative, because its {name} is {luminance}, which is not between 1e-20 and 1e20"
             ));
         }
     }

@@ -73,7 +73,7 @@ pub fn parse(mut bytes: Vec<u8>, limits: &Limits) -> Parsed<Contents> {
     let stored = samples * u64::from(depths.first().copied().unwrap_or(1)).div_ceil(8);
     // Samples other than colour and alpha are not used, and there may be up to 65535 samples per pixel.
     if samples > 8 {
-        return Err(format!("it has {samples} samples per pixel; radiance has 3 or 1"));
+        return Err(format!("it has {samples} channels; radiance has 3 or 1"));
     }
     let is_logluv = matches!(compression, 34676 | 34677);
     let unpacked = if is_logluv { 0 } else { pixels.saturating_mul(stored) };
@@ -140,7 +140,7 @@ fn floats(decoder: &mut Bytes, photometric: Option<u16>) -> Parsed<Vec<[f32; 3]>
         DecodingResult::F64(v) => v.into_iter().map(|v| v as f32).collect(),
         _ => {
             return Err(
-                "it is a picture for display (its samples are integers); a radiance map has floating-point samples or LogLuv".into()
+                "it is a picture for display: its pixel values are integers; those of a radiance map are floating-point or LogLuv".into()
             );
         }
     };

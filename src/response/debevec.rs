@@ -197,7 +197,8 @@ mod tests {
         // camera does not have.
         assert!(off < 0.05, "{off} {fit:?}");
         assert!(g.windows(2).all(|w| w[0] < w[1]) && g[MID] == 0.0);
-        // The camera is logarithmic: all its codes together span 12 stops. The scene has the codes from 21 on.
+        // The camera is logarithmic: all its codes together span 12 stops. In the scene, only codes of at least 21
+        // occur.
         let log = scene(600, &times, |x| 1.0 + libm::log2(x.max(1e-9)) / 12.0);
         let (g, fit) = channel(&log, &Options::default()).unwrap();
         let off = difference_from(24, &g, |v| libm::exp2(12.0 * v));

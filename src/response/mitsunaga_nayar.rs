@@ -79,8 +79,7 @@ impl Options {
         fit::enough(self.samples)?;
         match self.degree {
             Some(degree) if !(1..=*DEGREES.end()).contains(&degree) => {
-                let reason =
-                    format!("a polynomial of degree {degree} does not give a response; choose 1 to {}", DEGREES.end());
+                let reason = format!("the degree of the polynomial must be from 1 to {}, not {degree}", DEGREES.end());
                 Err(Error::Option { option: "--response-degree", reason })
             }
             _ => Ok(()),

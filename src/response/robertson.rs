@@ -223,7 +223,8 @@ mod tests {
             assert!(objective < last && next[MID] == 0.0, "{objective} after {last}");
             (g, last) = (next, objective);
         }
-        // Without noise and with a linear curve, which interpolation reproduces, the true curve is a fixed point.
+        // The samples have no noise, and linear interpolation reproduces a linear curve exactly. So the true curve is a
+        // fixed point.
         let exact: Vec<Sample> = (0..100)
             .map(|i| 20.0 + i as f64)
             .map(|z| Sample { views: [1.0, 2.0].map(|t| View { code: t * z, ln_time: libm::log(t) }).to_vec() })

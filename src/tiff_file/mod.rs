@@ -189,7 +189,7 @@ pub(crate) struct Picture {
 /// # Errors
 /// The reason, if the first directory is damaged or a text is impossibly long.
 pub(crate) fn picture(reader: impl Read + Seek) -> Result<Picture, Reason> {
-    let damaged = || Reason::from("all of its directories of tags are damaged; copy the file again");
+    let damaged = || Reason::from("all of its lists of tags are damaged; copy the file again");
     let mut file = Directories::of(reader).ok_or_else(damaged)?;
     let pictures = file.pictures();
     let first = pictures.first().ok_or_else(damaged)?;

@@ -166,7 +166,8 @@ fn first_picture_without_thumbnails_is_used_and_mosaics_are_raw() {
     assert_eq!(decoded(&bytes), data);
 }
 
-/// Otherwise the `tiff` crate would print a line that contains a path of the machine on which it was compiled.
+/// If the `tiff` crate saw such a text, it would print a line that contains a path of the machine on which it was
+/// compiled.
 #[test]
 fn a_text_longer_than_any_file_is_refused_before_the_crate_sees_it() {
     let mut bytes = file(&[0; 60], &[with(rgb(5, 4, DATA), (271, 2, vec![65; 9]))]);
@@ -177,7 +178,7 @@ fn a_text_longer_than_any_file_is_refused_before_the_crate_sees_it() {
     bytes[at..at + 4].copy_from_slice(&0x7FFF_FFFF_u32.to_le_bytes());
     assert!(picture(Cursor::new(&bytes)).unwrap_err().contains("a text of impossible length"));
     for cut in [0, 3, 8, bytes.len() - 5] {
-        assert!(picture(Cursor::new(&bytes[..cut])).unwrap_err().contains("directories of tags are damaged"), "{cut}");
+        assert!(picture(Cursor::new(&bytes[..cut])).unwrap_err().contains("lists of tags are damaged"), "{cut}");
     }
 }
 

@@ -39,7 +39,7 @@ pub struct DisplayImage {
 #[serde(tag = "name", rename_all = "kebab-case")]
 #[strum(serialize_all = "kebab-case")]
 pub enum Operator {
-    /// Local: fuses exposures computed from the radiance; keeps the colours of the photographs.
+    /// Local: computes exposures from the radiance and fuses them; keeps the colours of the photographs.
     Natural(natural::Options),
     /// Global: one curve, soft highlights. Reinhard et al. 2002.
     Reinhard02(operators::reinhard::Options),

@@ -113,7 +113,7 @@ fn memory_limit_applies_to_files_read_completely() {
     ] {
         let run = folder.line(&format!("{command} --max-memory 100MB"));
         assert!(run.code == code && run.stderr.contains("raise it with --max-memory"), "{command}: {run:?}");
-        let needed = run.stderr.split_once("need ").and_then(|(_, rest)| rest.split_once(" MB while"));
+        let needed = run.stderr.split_once(" pixels needs ").and_then(|(_, rest)| rest.split_once(" MB"));
         let needed: u64 = needed.and_then(|(megabytes, _)| megabytes.parse().ok()).expect("what it needs");
         // With enough memory to decode the file, there may still not be enough for the rest of the work.
         let run = folder.line(&format!("{command} --max-memory {}MB", needed + 10));

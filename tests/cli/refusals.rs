@@ -272,7 +272,12 @@ fn transforms_of_other_photographs_are_named() {
     folder.line("align w2.jpg w3.jpg --reference w3.jpg --transforms t.json").done();
     for options in ["", "--reference w4.jpg"] {
         let line = format!("merge w4.jpg w5.jpg --transforms t.json -o a.exr {options}");
-        refused(&folder, &line, 1, &["t.json", "for other photographs", "its reference w3.jpg is not among these"]);
+        refused(
+            &folder,
+            &line,
+            1,
+            &["t.json", "for other photographs", "its reference w3.jpg is not among those of this run"],
+        );
     }
 }
 

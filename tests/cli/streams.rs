@@ -104,6 +104,6 @@ fn help_and_version_are_results() {
     for command in ["merge", "batch", "tonemap", "compare"] {
         let help = folder.line(&format!("{command} --help")).stdout;
         let words = help.split_whitespace().collect::<Vec<_>>().join(" ");
-        assert!(words.contains("stdout, which gets the names of"), "{command}");
+        assert!(words.contains("printed to stdout: the names of"), "{command}");
     }
 }

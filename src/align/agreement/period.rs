@@ -186,7 +186,7 @@ mod tests {
 
     #[test]
     fn faint_pattern_repeats_and_noise_does_not() {
-        // The grey values of the pattern vary by six, with a standard deviation of about 1.3, like plaster or cloth.
+        // The grey values of the pattern vary by six, with a standard deviation of about 1.2, like plaster or cloth.
         let scene = Scene::new(3);
         let plaster =
             |x: f64, y: f64| 1.0 + 0.03 * (scene.radiance(x.rem_euclid(34.0), y.rem_euclid(41.0)).log2() + 6.0);

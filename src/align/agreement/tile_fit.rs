@@ -37,8 +37,9 @@ pub(crate) struct TileFit {
     /// [`CORRELATION_FACTOR`]), in the same unit. Under a wrong transform, neighbouring tiles are often displaced
     /// alike, in a way that no homography explains. Then `error` is larger than this.
     pub(crate) least_error: f64,
-    /// The root mean square change of the parameters, divided by its least standard error. It is about 1 if the checked
-    /// transform is right, because then only noise changes the parameters.
+    /// How much the fit changes the parameters of the checked transform: the root mean square change, in standard
+    /// errors for nearly independent tiles. It is about 1 if the checked transform is right, because then only noise
+    /// changes the parameters.
     pub(crate) significance: f64,
 }
 

@@ -35,9 +35,10 @@ impl Motion {
 pub enum Rounding {
     /// To the nearest pixel.
     Nearest,
-    /// To either neighbouring pixel, to the nearer one more often, by a fixed pattern that changes with every word of
-    /// 64 pixels and every row. Counts of differing pixels then vary smoothly with the motion. With rounding to the
-    /// nearest pixel they have steps, which would bias every result towards motions by whole pixels.
+    /// To one of the two neighbouring pixels, more often to the nearer one. Which one follows from a fixed sequence of
+    /// numbers, one for each row and each word of 64 pixels. Counts of differing pixels then vary smoothly with the
+    /// motion. With rounding to the nearest pixel they have steps, which would bias every result towards motions by
+    /// whole pixels.
     Dithered,
 }
 
@@ -130,7 +131,7 @@ impl ThresholdBitmaps {
         assert_eq!(
             (width, height),
             (onto.threshold.width(), onto.threshold.height()),
-            "the bitmaps `onto` must be as wide and as high as the warped bitmaps"
+            "both sets of bitmaps must have the same width and height"
         );
         let places = PixelMap::new(motion, rounding, width, height);
         for y in 0..height {

@@ -62,7 +62,7 @@ pub(super) fn check_repeatability(detect: impl Fn(&Plane<u8>) -> Features, (leas
             .count();
         assert!(
             right >= least && right as f64 >= share * matches.len() as f64,
-            "only {right} of {} matches are correct if the frame is turned by {turn} rad and enlarged {zoom} times",
+            "only {right} of {} matches are correct between a picture and its copy, turned by {turn} rad and enlarged {zoom} times",
             matches.len()
         );
     }

@@ -77,7 +77,8 @@ impl InferredTransform {
     }
 }
 
-/// The track of a camera through the transforms of the aligned frames.
+/// The motion of a camera, fitted to the known transforms of the aligned frames: a path over time, or scatter about one
+/// position. It predicts the transform of another frame.
 #[derive(Debug, Clone)]
 pub(crate) struct CameraTrack {
     size: (usize, usize),

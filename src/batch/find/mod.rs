@@ -167,7 +167,7 @@ impl fmt::Display for Reason {
             Reason::Remainder(frames) => {
                 write!(
                     f,
-                    "it and the photographs before and after it do not form a bracket of {frames} (longest pause: --gap; same focal length; different exposures)"
+                    "no bracket of {frames} is left for it: with the photographs before and after it, there are too few, or they differ in camera, size, flash or focal length, or their exposures are the same, or a pause is longer than --gap"
                 )
             }
             Reason::OtherSize(own, others) => {

@@ -55,7 +55,7 @@ pub(super) fn settle(
             },
             None => Error::NoExposure {
                 path: pictures[order[0]].path.clone(),
-                reason: format!("the exposures in the files contradict the pixels ({what}), and {reason}"),
+                reason: format!("the exposures in the EXIF data contradict the pixels ({what}), and {reason}"),
             },
         };
         // If all files are copies of one photograph, their true exposures are equal, and no estimate is needed.

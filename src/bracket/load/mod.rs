@@ -60,8 +60,8 @@ impl Default for LoadOptions {
 }
 
 impl LoadOptions {
-    /// Returns the limits for decoding one photograph. Their memory is the part of the memory limit that is available
-    /// for pixels.
+    /// Returns the limits for decoding one photograph. `Limits::memory` is the part of the memory limit that is
+    /// available for pixels.
     pub fn limits(&self) -> Limits {
         Limits { max_pixels: self.max_pixels, memory: self.memory.as_ref().map(MemoryLimit::for_pixels) }
     }

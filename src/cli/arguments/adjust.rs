@@ -11,9 +11,9 @@ pub struct Adjust {
     /// Set the white balance: as-shot, auto, KELVIN[,TINT], or X,Y (a grey spot)
     ///
     /// as-shot, the default, changes nothing. auto estimates the light. KELVIN[,TINT] is the colour of the light that
-    /// should look white: a temperature from 2000 to 25000 (below 6504 the picture becomes cooler, above it warmer)
-    /// and a tint from -150 to 150 (above 0 the picture becomes more magenta). X,Y is the position of a grey spot, in
-    /// pixels of the result before --resize. Two numbers that can be KELVIN,TINT, such as 2400,100, are read as
+    /// should look white. KELVIN is from 2000 to 25000: below 6504 the picture becomes cooler, above it warmer. TINT is
+    /// from -150 to 150: below 0 the picture becomes greener, above 0 more magenta. X,Y is the position of a grey spot,
+    /// in pixels of the result before --resize. Two numbers that can be KELVIN,TINT, such as 2400,100, are read as
     /// KELVIN,TINT; for a spot at this position, write spot:2400,100. Radiance is not changed
     #[arg(long, value_name = "WHITE", default_value_t, hide_default_value = true)]
     white_balance: WhiteBalance,

@@ -74,8 +74,8 @@ pub struct Work {
 
     /// Print no progress, summary or warnings, only errors and file names
     ///
-    /// Use -q in scripts. The option -q does not change stdout, which gets the names of the result files or JSON, and in
-    /// `batch` the list of --dry-run. Errors go to stderr. Without -q, progress is shown if stderr is a terminal
+    /// Use -q in scripts. The option -q does not change what is printed to stdout: the names of the result files, JSON,
+    /// or the list of `batch --dry-run`. Errors go to stderr. Without -q, progress is shown if stderr is a terminal
     #[arg(short, long, help_heading = OUTPUT)]
     pub quiet: bool,
 }
@@ -88,13 +88,13 @@ A result is degraded if a warning reports that
 - a frame could not be aligned, or only with a confidence below 0.5
 - a frame was too dark or too bright to align, and other frames show that the camera moved
 - the frames overlap by less than half, or two of them have the same pixels
-- the flash fired in some frames only, or the camera tone-mapped the frames locally
+- the flash fired in some frames only, or the camera changed parts of frames (phones)
 - an exposure is missing, was estimated, or contradicts the pixels
 - the response could not be recovered, is of another camera, or contradicts the pixels
-- the brackets given to `hdralign response` are of different cameras
-- `batch --shared-response` could not use a bracket for the response of its camera
-Degraded results are written, too. A frame that you exclude does not count as a frame that
-could not be aligned, but its exposure and its pixels are still checked";
+- `hdralign response`: the brackets are of different cameras
+- `batch --shared-response`: a bracket could not be used for the response of its camera
+Degraded results are written, too. The exposure and the pixels of a frame
+that you exclude are checked, too, but not its alignment";
 
 /// Limit on the size of images.
 #[derive(Debug, Args)]

@@ -57,17 +57,17 @@ pub struct Merging {
 
     /// Scale the radiance to cd/m2, computed from the exposure of the reference frame (accurate to about half a stop)
     ///
-    /// The largest possible pixel value (255, or 65535 with 16 bits) in the reference frame stands for 87 N^2 / (t ISO)
-    /// cd/m2, where N is the f-number and t the exposure time in s. With -e, this pixel value stands for 87 / 2^EV
+    /// The largest possible pixel value (255, or 65535 with 16 bits) in the reference frame stands for 87 N^2 / (t x
+    /// ISO) cd/m2, where N is the f-number and t the exposure time in s. With -e, this pixel value stands for 87 / 2^EV
     /// cd/m2, where EV is the exposure that you give for the reference frame
     #[arg(long, hide_short_help = true)]
     absolute: bool,
 
     /// Multiply the radiance by X to get cd/m2
     ///
-    /// With --absolute, X is a luminance that you measured, divided by the luminance of the same place in a result with
-    /// --absolute alone; usually about 1. Without --absolute, X is the luminance in cd/m2 of a place that is middle
-    /// grey (pixel value 128 of 255) in the reference frame
+    /// With --absolute, X is a quotient, usually about 1: a luminance that you measured, divided by the luminance of
+    /// the same place in a result without --calibration-factor. Without --absolute, X is the luminance in cd/m2 of a
+    /// place that is middle grey (pixel value 128 of 255) in the reference frame
     #[arg(long, hide_short_help = true, value_name = "X", allow_negative_numbers = true)]
     calibration_factor: Option<f64>,
 

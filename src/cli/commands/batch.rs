@@ -45,9 +45,10 @@ Exit codes:
      - all brackets are done, but a photograph or folder could not be read
      - all brackets are done, but the summary could not be written at the end
      - all brackets are done, but a result is degraded (only with --strict)
-Results of earlier runs count like those of this run. With --dry-run and --plan, a bracket that is
-listed counts as done, and unreadable files do not count. With --shared-response, the code is also
-3 if the response of a camera was recovered, but no bracket was merged.
+Results of earlier runs count like those of this run. With --dry-run and --plan, every listed
+bracket counts as done, and files that cannot be read do not change the code. With
+--shared-response, the code is also 3 if the response of a camera was recovered, but no bracket was
+merged.
 ";
 
 /// Returns `arg`, an argument that several commands share, with the help text for this command.
@@ -87,11 +88,11 @@ pub struct Args {
     #[arg(long, help_heading = MODE)]
     dry_run: bool,
 
-    /// Print the plan, a line of JSON for each job; merge nothing
+    /// For schedulers: print the jobs, a line of JSON for each (the plan)
     #[arg(long, help_heading = MODE, conflicts_with = "dry_run")]
     plan: bool,
 
-    /// Run jobs of the plan in the file PLAN; select them with --id
+    /// For schedulers: run jobs of a plan; select them with --id
     #[arg(long, help_heading = MODE, value_name = "PLAN", requires = "id", conflicts_with_all = ["folders", "plan", "dry_run", "summarize"])]
     run: Option<PathBuf>,
 
@@ -131,8 +132,8 @@ pub struct Args {
     /// By default, each bracket that is merged gets a line with the number of its warnings. The summary at the end
     /// counts the brackets already done. The summary also shows the first warning of each degraded result, for at most
     /// 10 results. With -v, the warnings of a merged bracket follow its line, and each bracket already done gets a line
-    /// too. With -q, only errors, messages after a signal, and file names (or JSON) are printed. -v has no effect with
-    /// --dry-run, --plan, --run or --summarize
+    /// too. With -q, only errors, messages after Ctrl-C or another signal, and what stdout gets (file names, JSON, or
+    /// the list of --dry-run) are printed. -v has no effect with --dry-run, --plan, --run or --summarize
     #[arg(short, long, help_heading = OUTPUT, conflicts_with = "quiet")]
     verbose: bool,
 
@@ -171,6 +172,8 @@ struct Places {
     formats: Vec<String>,
 
     /// In addition to --formats, write the picture as tif, png or jpg
+    ///
+    /// Use it for a picture as tif, because tif in --formats means radiance
     #[arg(long, value_name = "FORMAT,...", value_delimiter = ',')]
     pictures: Vec<String>,
 
@@ -216,7 +219,7 @@ struct Acting {
     #[command(flatten)]
     merging: Merging,
 
-    /// Use one brightness scale per bracket, per panorama or per run
+    /// Use one brightness scale per bracket, per panorama (set) or for all brackets
     ///
     /// The value 1.0 stands for the same radiance in all results with the same scale. Panoramas can then be stitched
     #[arg(long, help_heading = MERGE, alias = "normalise", value_parser = choice::<Normalisation>(), default_value_t, value_name = "WHAT")]
@@ -414,8 +417,8 @@ fn jobs(path: &Path, args: &Args, typed: &[String]) -> Result<ExitCode, Error> {
     Ok(if args.work.strict && degraded && outcome == Outcome::All { ExitCode::from(3) } else { exit_code(outcome) })
 }
 
-/// Returns the largest number of pixels that a photograph of `job` may have. This is the limit that the user gave.
-/// Without it, it is the default limit, or the size in the plan if that is larger.
+/// Returns the largest number of pixels that a photograph of `job` may have. This is the limit that the user gave. If
+/// the user gave none, it is the default limit, or the size in the plan if that is larger.
 fn largest(job: &Job, work: &Work) -> u64 {
     let planned = (job.width_px as u64).saturating_mul(job.height_px as u64);
     work.largest.given().unwrap_or_else(|| work.largest.pixels().max(planned))

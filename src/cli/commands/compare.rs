@@ -49,8 +49,10 @@ pub struct Args {
     #[arg(long, value_name = "PERCENT", default_value_t = 0.0, allow_negative_numbers = true)]
     max_differing: f64,
 
-    /// Require at least this PSNR in dB instead of the tolerance: PU21-PSNR of radiance, PSNR of the pixel values of
-    /// pictures
+    /// Instead of the tolerance, require that the whole images are at least this similar (PSNR, in dB)
+    ///
+    /// A higher PSNR means more similar. For pictures it is computed from the pixel values, for radiance from PU21
+    /// values: PU21 is a scale on which equal differences look equally large
     #[arg(
         long,
         value_name = "DB",
@@ -80,8 +82,8 @@ pub struct Args {
 
     /// Print no summary or warnings, only errors and file names
     ///
-    /// Use -q in scripts. The option -q does not change stdout, which gets the names of the files written, or JSON.
-    /// Errors go to stderr
+    /// Use -q in scripts. The option -q does not change what is printed to stdout: the names of the files written, or
+    /// JSON. Errors go to stderr
     #[arg(short, long)]
     quiet: bool,
 }
@@ -169,7 +171,7 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
         let off = match (largest.stops, largest.de) {
             (Some(stops), _) => format!("{stops:.3} stops"),
             (_, Some(de)) => format!("dE {de:.2}"),
-            _ => "not finite (NaN or infinity, in a file or after conversion)".into(),
+            _ => "a value is NaN or infinite, in a file or after conversion".into(),
         };
         let values = |rgb: [Option<f64>; 3]| rgb.map(|v| v.map_or("-".into(), number)).join(" ");
         let (expected, actual) = (values(largest.expected), values(largest.actual));
@@ -186,7 +188,7 @@ fn summary(compared: &Comparison, terminal: &Terminal) -> Vec<String> {
             row(
                 "odd",
                 format!(
-                    "{} pixels are different because a value is NaN or infinite, in a file or after conversion",
+                    "pixels that differ because a value is NaN or infinite, in a file or after conversion: {}",
                     radiance.not_comparable_pixels
                 ),
             );

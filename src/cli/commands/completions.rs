@@ -8,9 +8,10 @@ use std::process::ExitCode;
 const AFTER_HELP: &str = "\
 Examples:
   hdralign completions bash > ~/.local/share/bash-completion/completions/hdralign
-  hdralign completions zsh > ~/.zfunc/_hdralign               with `fpath+=~/.zfunc` before compinit
+  hdralign completions zsh > ~/.zfunc/_hdralign
   hdralign completions fish > ~/.config/fish/completions/hdralign.fish
-  hdralign completions powershell >> $PROFILE";
+  hdralign completions powershell >> $PROFILE
+For zsh, also write `fpath+=~/.zfunc` into ~/.zshrc, before the line with `compinit`.";
 
 #[derive(Debug, clap::Args)]
 #[command(after_help = AFTER_HELP)]

@@ -15,13 +15,14 @@ const AFTER_HELP: &str = "\
 Files, for each photograph NAME (for the reference frame only the first three kinds):
   NAME.threshold.png                       median threshold bitmap: pixels brighter than a grey
                                            value (usually the median) are white, others black
-  NAME.exclusion.png                       white: pixels that are compared; black: excluded pixels
+  NAME.exclusion.png                       white: pixels that are compared; black: excluded,
+                                           because they are close to the grey value
   NAME.keypoints.svg, .png                 keypoints: distinctive details, found in the
-                                           photograph, in its bitmaps, or in both
+                                           photograph, in its threshold bitmaps, or in both
   NAME.matches.svg, .png                   keypoints that match one in the reference frame: inliers
                                            (they agree on one motion) and outliers (they do not)
-  NAME.xor.svg, .png                       curves: how much the bitmap differs from the reference
-                                           frame's bitmap if the frame is rotated or shifted
+  NAME.xor.svg, .png                       share of the pixels in which the bitmaps of frame and
+                                           reference differ, as curves over rotation and shift
   NAME.edges.svg, .png                     edges of frame and reference, before and after alignment
 and tables.txt, tables.json with exposures, keypoints, matches, transforms and bitmaps.
 

@@ -17,11 +17,11 @@ use std::process::ExitCode;
 
 const AFTER_HELP: &str = "\
 The input is an .exr, .hdr or .tif file from any program. A .tif file needs floating-point or LogLuv
-pixels. hdralign changes pixels with impossible values, and prints a warning. A pixel with NaN (not
-a number) becomes black. An infinite value is replaced by the largest finite value of the image,
-with the same sign. After that, a pixel whose red, green or blue is negative becomes less
-saturated, until none of the three is negative. A pixel whose luminance is not positive becomes
-black.
+pixels. hdralign changes values that light cannot have, and prints a warning:
+- a pixel with NaN (not a number) becomes black
+- infinity becomes the largest finite value of the image, minus infinity its negative
+- then a colour with a negative value is made less saturated, so that no value is negative; if its
+  luminance is not positive, it becomes black
 
 Examples:
   hdralign tonemap room.exr                           write room.png beside it
@@ -63,8 +63,8 @@ pub struct Args {
 
     /// Print no progress, summary or warnings, only errors and file names
     ///
-    /// Use -q in scripts. The option -q does not change stdout, which gets the names of the files written, or JSON.
-    /// Errors go to stderr. Without -q, progress is shown if stderr is a terminal
+    /// Use -q in scripts. The option -q does not change what is printed to stdout: the names of the files written, or
+    /// JSON. Errors go to stderr. Without -q, progress is shown if stderr is a terminal
     #[arg(short, long, help_heading = OUTPUT)]
     quiet: bool,
 

@@ -48,7 +48,7 @@ pub(in crate::inspect) fn draw(
     ];
     let (width, height) = features.size();
     let mut notes = format!(
-        "Keypoints: {} in the photograph, {} in the bitmap, {} merged; detected at {width} x {height} pixels. Radius: scale (sigma); tick: direction.",
+        "Keypoints: {} in the photograph, {} in the threshold bitmaps, {} merged; detected at {width} x {height} pixels. Radius of a circle: scale (sigma) of the keypoint, at least 2.5 px; line in the circle: direction.",
         counts.plain, counts.mtb, counts.merged
     );
     if photograph.brightened {

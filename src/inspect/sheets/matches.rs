@@ -37,8 +37,8 @@ pub(in crate::inspect) fn draw(
         entry(OUTLIER, format!("outliers: {}", matching.pairs.len() - inliers)),
     ];
     let mut notes =
-        "Matches of keypoints in photographs and bitmaps: mutual nearest neighbours that pass the ratio test. Inliers \
-                     agree with the homography."
+        "A match is a pair of keypoints, each of which is more similar to the other than to all others (of similar size \
+                     and direction). Inliers agree with the homography, outliers do not."
             .to_owned();
     let stride = stride(matching.pairs.len());
     if stride > 1 {

@@ -108,7 +108,7 @@ pub(in crate::inspect) fn draw(title: &str, couple: &Couple) -> Result<Drawing, 
     let sides = views.frame.len() as f64;
     let room = (sides * size.0 + (sides - 1.0) * GAP, NAMES + size.1 + below);
     let mut notes =
-        "An edge may have the colour of only one frame even after alignment. Then the other frame is clipped or black there, something moved, or the alignment is wrong there."
+        "An edge may have the colour of only one frame even after alignment. Then the other frame does not cover this place, or is clipped, black or noisy there; or something moved; or the alignment is wrong there."
             .to_owned();
     if !boxes.is_empty() {
         notes += &format!(" Below: the marked areas, enlarged: {MAGNIFIED} px for each pixel of the photograph.");

@@ -95,13 +95,13 @@ impl Ghosts {
         if self.region != region {
             let Rect { x0, y0, x1, y1 } = self.region;
             return refused(format!(
-                "the ghosts were computed for columns {x0}..{x1} and rows {y0}..{y1}; compute the ghosts for the region of this merge"
+                "the ghosts (an argument of this function) are for columns {x0}..{x1} and rows {y0}..{y1}; find them again for the region of this merge"
             ));
         }
         let is_of = |((path, _), frame): (&(String, _), &&Path)| *path == frame.to_string_lossy();
         if self.frames.len() != frames.len() || !self.frames.iter().zip(frames).all(is_of) {
             return refused(
-                "the ghosts were computed for other frames; compute the ghosts for the frames of this merge".to_owned(),
+                "the ghosts (an argument of this function) are for other frames; find them again for the frames of this merge".to_owned(),
             );
         }
         Ok(())

@@ -155,7 +155,8 @@ fn continuation_has_the_surrounding_colour_without_seam() {
     let share = |x: usize| [0, 1, 2].map(|c| found.at(x, 90)[c] / lit[c]);
     for x in 60..180 {
         // The outer part of the shadow's edge is brighter than the clipping level of the reference. In red, this level
-        // is a third of the sunlight. So this part is not motion and remains; it has at least half of the sunlight.
+        // is a third of the sunlight. There the reference is clipped and does not contradict the other frames, so the
+        // edge remains. It has at least half of the sunlight.
         let [r, g, b] = share(x);
         assert!(r > 0.5 && (g / r - 1.0).abs() < 0.04 && (b / r - 1.0).abs() < 0.04, "{x}: {:?}", share(x));
         // The tolerance allows for the edge of the shadow, which rises by 0.04 per pixel.
@@ -385,8 +386,8 @@ fn strength_is_parsed_and_printed_as_typed() {
 
 #[test]
 fn flare_and_saturated_colours_are_not_motion() {
-    // The long frame is brighter by up to a third towards the right, as with flare. In addition, its red is 15 %
-    // higher everywhere, as happens with saturated colours, which one response for all frames cannot describe.
+    // The long frame is brighter by up to a third towards the right, as with flare. In addition, its red is 15 % higher
+    // everywhere. This happens with saturated colours, because one response for all frames cannot describe them.
     let veiled = |x: usize, y: usize| {
         let [r, g, b] = background(x, y).map(|e| e * (1.0 + 0.33 * x as f64 / SIZE.0 as f64));
         [1.15 * r, g, b]

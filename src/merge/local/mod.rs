@@ -195,7 +195,7 @@ impl LocalGain {
         if self.region == region && self.frames.len() == frames.len() && self.frames.iter().zip(frames).all(is_of) {
             return Ok(());
         }
-        let reason = "the gain that undoes local tone mapping was computed for other frames or another region; compute it for the frames that are merged";
+        let reason = "the local gain (an argument of this function) is for other frames or another region; find it again for this merge";
         Err(Error::Option { option: "--crop", reason: reason.to_owned() })
     }
 

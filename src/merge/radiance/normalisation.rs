@@ -1,13 +1,14 @@
 //! Normalisation: one unit of radiance for many brackets, so that they can be compared and stitched.
 //!
-//! In: the relative exposure t ISO / N^2, in s, at which radiance 1 shall give the middle code value, and the reference
-//! frame. Out: the factor on radiance. Cost: one multiplication per value, by
+//! In: the reference frame, and the relative exposure u = t ISO / N^2, in s, at which radiance 1 shall give the middle
+//! code value. Out: the factor on radiance. Cost: one multiplication per value, by
 //! [`calibration::calibrate`](crate::merge::radiance::calibration::calibrate).
 //!
-//! Merged radiance r refers to the exposure h of the reference frame: radiance 1 gives the frame its middle code value.
-//! So r / h does not depend on the reference frame. With u for the requested exposure, r u / h is 1 for the radiance
-//! that gives the middle code value at u. Brackets with the same response and the same u agree within the errors of
-//! shutter, aperture and noise. Brackets with separate responses also differ by the difference of the responses.
+//! Merged radiance r is relative to the exposure h of the reference frame: where r is 1, this frame has the middle code
+//! value. At an exposure twice as long, the middle code value needs half the radiance. So if r is multiplied by u / h,
+//! radiance 1 gives the middle code value at the exposure u, whichever frame is the reference. Brackets with the same
+//! response and the same u agree within the errors of shutter, aperture and noise. Brackets with separate responses
+//! also differ by the difference of the responses.
 
 use crate::bracket::Frame;
 use crate::bracket::exposure::ExposureSource;
@@ -54,7 +55,7 @@ pub fn check(reference: &Frame) -> Result<()> {
         ExposureSource::Estimated => "estimated from the pixels",
     };
     refused(format!(
-        "the exposure of {path} is {origin} and not from EXIF, so its radiance cannot be compared with the radiance of other brackets; give `{OPTION} bracket`"
+        "the exposure of {path} is {origin} and not from EXIF, so this bracket cannot have the same brightness scale as others; give `{OPTION} bracket`"
     ))
 }
 

@@ -88,7 +88,7 @@ fn histogram(page: &Page, report: &Report, curve: &ResponseCurve) -> Option<Stri
     let bounds = report.radiance.as_ref().map_or_else(String::new, |m| {
         let pixels = (report.crop.width_px * report.crop.height_px).max(1) as f64;
         format!(
-            " {} of the pixels are clipped even in the shortest frame, and {} are black even in the longest. There the radiance is only known to be above or below a limit.",
+            " {} of the pixels are clipped even in the frame with the shortest exposure, and {} are black even in the one with the longest. There the radiance is only known to be above or below a limit.",
             percent(m.all_clipped as f64 / pixels),
             percent(m.all_black as f64 / pixels)
         )
@@ -116,7 +116,7 @@ fn response(report: &Report, curve: &ResponseCurve) -> String {
         (520.0, 340.0),
         0.0,
         x,
-        Axis::round(low, high, 8, "exposure in stops; 0 gives pixel value 128 in the mean of the colours"),
+        Axis::round(low, high, 8, "exposure in stops (0: pixel value 128, mean of the three colours)"),
     );
     let points = |g: &[f64; CODES]| {
         let deep = |z: &usize| stops(g[*z]) >= -DEEPEST;

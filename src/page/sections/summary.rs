@@ -36,7 +36,7 @@ pub(in crate::page) fn facts(report: &Report) -> String {
     }
     let errors = report.frames.iter().filter(|f| f.alignment.status != Status::Reference);
     if let Some(worst) = errors.filter_map(|f| f.alignment.error_px).reduce(f64::max) {
-        facts.push(("Alignment error", format!("{worst:.2} px"), "estimate, of the worst frame".into()));
+        facts.push(("Alignment error", format!("{worst:.2} px"), "estimated, in the worst frame".into()));
     }
     if let Some((least, most)) = report.local_processing.as_ref().and_then(LocalReport::range_stops) {
         let range = format!("{} to {} stops", signed(least, 1), signed(most, 1));

@@ -245,8 +245,8 @@ fn bounds(report: &Report) -> Option<String> {
     let merged = report.radiance.as_ref()?;
     let pixels = (report.crop.width_px * report.crop.height_px).max(1) as f64;
     let words = [
-        (merged.all_clipped, "clipped even in the shortest frame", "shorter"),
-        (merged.all_black, "black even in the longest frame", "longer"),
+        (merged.all_clipped, "clipped even in the frame with the shortest exposure", "shorter"),
+        (merged.all_black, "black even in the frame with the longest exposure", "longer"),
     ];
     let worth = words.iter().map(|(n, what, add)| (*n as f64 / pixels, what, add)).filter(|w| w.0 > WORTH);
     let words: Vec<String> = worth

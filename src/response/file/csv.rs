@@ -70,7 +70,7 @@ pub(crate) fn read(text: &str) -> Result<ResponseCurve, String> {
         _ => {
             let columns: Vec<String> = curves.iter().map(|m| m.columns.to_string()).collect();
             return Err(format!(
-                "its matrices have {} columns; one matrix with 7 columns (luminance-hdr) or three matrices with 3 columns (pfstools) are supported",
+                "its matrices have {} columns; hdralign can read one matrix with 7 columns (from luminance-hdr), or three with 3 columns (from pfstools)",
                 columns.join(", ")
             ));
         }

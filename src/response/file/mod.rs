@@ -208,8 +208,8 @@ impl SavedResponse {
     /// Reads the curve in `text`, the content of the file `path`.
     ///
     /// # Errors
-    /// [`Error::ResponseFile`] if the text is not JSON, has another schema, or its numbers are not a response: 256
-    /// per channel, finite and increasing.
+    /// [`Error::ResponseFile`] if the text is not JSON, or has another schema, or its numbers are not those of a
+    /// response: per channel, 256 increasing numbers from -80 to 80, and a black code from 0 to less than 128.
     pub fn from_json(text: &str, path: &Path) -> Result<Self> {
         let wrong = |reason: String| Error::ResponseFile { path: path.to_owned(), reason };
         let header: Header = serde_json::from_str(text).map_err(|e| {
@@ -233,7 +233,7 @@ impl SavedResponse {
             let reason = "its values do not increase from one pixel value to the next, or are not between -80 and 80";
             wrong(reason.to_owned())
         })?;
-        let black = |_: ()| wrong("a black_code is not in 0..128".to_owned());
+        let black = |_: ()| wrong("each number in `black_code` must be at least 0 and less than 128".to_owned());
         Ok(SavedResponse {
             make: document.camera_make,
             model: document.camera_model,

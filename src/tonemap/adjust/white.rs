@@ -65,8 +65,8 @@ impl Light {
     /// Returns the CIE 1960 uv chromaticity.
     fn uv(self) -> [f64; 2] {
         let ([u, v], [du, dv]) = (locus(self.kelvin), green(self.kelvin));
-        // At 6504 K the daylight formula differs from sRGB's white by 1e-5. The same correction is added at all
-        // temperatures.
+        // At 6504 K the daylight formula differs from sRGB's white by 6e-5 (in uv). This difference is subtracted at
+        // all temperatures.
         let ([u65, v65], at65) = (uv(D65_XY), locus(D65.kelvin));
         let by = self.tint / TINTS_PER_UV;
         [u + by * du + (u65 - at65[0]), v + by * dv + (v65 - at65[1])]

@@ -13,9 +13,10 @@
 //! 3. A contrast curve is applied. A power function darkens the picture if the longest exposure is dark. If the
 //!    photographs are not known, this function also aims at the brightness of a typical photograph.
 //! 4. Linear functions carry luminance from the grid to the pixels (`guide`). A photograph shows the same place in
-//!    different colours, depending on the exposure. For each pixel, the exposure is chosen in which it would be as
-//!    bright as it is in the tone-mapped picture. The pixel gets about the colour that it would have in this exposure.
-//!    If the photographs are not known, the hue is nearly that of the scene, and chroma is never increased.
+//!    different colours, depending on the exposure. For each cell of the grid, the exposure is chosen in which it
+//!    would be as bright as it is in the tone-mapped picture. The pixels of the cell get about the colours that they
+//!    would have in this exposure. If the photographs are not known, the hue is nearly that of the scene, and chroma is
+//!    never increased.
 //!
 //! The constants below were chosen by eye and in blind comparisons on sixteen photographed brackets.
 
@@ -62,7 +63,7 @@ impl Options {
                 "brightness",
                 (0.1, 0.9),
                 &mut self.brightness,
-                "target for the mean pixel value, 0 to 1; it is not always reached",
+                "target for the mean pixel value, from 0 (black) to 1 (white); not always reached",
             ),
             Setting::number(
                 "contrast",
@@ -82,11 +83,11 @@ pub const CELLS: usize = 1 << 17;
 /// Code value (0 to 1) of the highlights in the shortest exposure, and the share of the pixels that are darker than the
 /// highlights.
 const LIGHTS: (f64, f64) = (0.9, 0.999);
-/// Code value (0 to 1) of the shadows in the longest exposure if the photographs are not known, and the share of the
-/// pixels that are darker than the shadows.
+/// If nothing is known about the photographs, as with files of other programs: (assumed code value, 0 to 1, of the
+/// shadows in the longest exposure; share of the pixels that are darker than the shadows).
 const SHADOWS: (f64, f64) = (0.4, 0.01);
-/// Contrast, and stops from the middle code value to white, that are assumed if the photographs are not known. They are
-/// typical of cameras.
+/// If nothing is known about the photographs: (assumed contrast; assumed stops from the middle code value to white).
+/// Both are typical of cameras.
 const CAMERA: (f64, f64) = (1.4, 2.6);
 /// Largest distance between neighbouring exposures, in stops.
 const STEP: f64 = 2.0;
@@ -105,7 +106,8 @@ const WHITE: f32 = 0.8;
 /// picture instead would reduce contrast.
 const KNEE: f32 = 0.8;
 
-/// Largest mean code value of the picture, divided by the mean code value of the longest exposure.
+/// The target for the mean code value of the picture is at most this share of the mean code value of the longest
+/// exposure.
 const OF_LONGEST: f64 = 0.8;
 /// Mean code value (0 to 1) if the photographs are not known. It is near the median of sixteen fused brackets, 0.46.
 const BRIGHTNESS: f64 = 0.48;

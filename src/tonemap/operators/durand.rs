@@ -39,7 +39,7 @@ impl Options {
                 "base",
                 (0.5, 10.0),
                 &mut self.base_stops,
-                "range in stops to which large differences of brightness are reduced",
+                "largest range of the large differences of brightness, in stops; a smaller range is not enlarged",
             ),
             Setting::number(
                 "reach",
@@ -47,7 +47,12 @@ impl Options {
                 &mut self.reach,
                 "smoothing radius of the base layer, as a fraction of the longer side",
             ),
-            Setting::number("edge", (0.1, 5.0), &mut self.edge_stops, "differences above this many stops are edges"),
+            Setting::number(
+                "edge",
+                (0.1, 5.0),
+                &mut self.edge_stops,
+                "larger differences than this, in stops, are edges and stay sharp",
+            ),
             Setting::saturation(&mut self.saturation),
         ]
     }

@@ -53,7 +53,7 @@ impl Options {
                 "beta",
                 (0.6, 1.0),
                 &mut self.beta,
-                "exponent of (gradient / alpha); 1 changes nothing, smaller values weaken strong gradients more",
+                "1 changes nothing; smaller values weaken strong contrasts more (exponent of gradient / alpha)",
             ),
             Setting::number(
                 "noise",

@@ -13,8 +13,8 @@ pub enum Sample {
     /// half, or float if the radiance needs more range or precision.
     #[default]
     Auto,
-    /// 16-bit floats: values up to 65504. Rounding changes a value of 0.000062 or more by at most 1/2048 of the value.
-    /// Smaller values are less exact.
+    /// 16-bit floats: values up to 65504. Values are rounded by at most 1/2048 of the value; values below 0.000062 are
+    /// less exact.
     Half,
     /// 32-bit floats: exactly as merged.
     Float,

@@ -184,7 +184,7 @@ fn the_exif_orientation_counts() {
     taken(oriented(&image::imageops::rotate180(&frame(4)), 3), "f3.jpg", "");
     taken(oriented(&frame(4), 77), "f3.jpg", "");
     let (folder, names) = with_third(&oriented(&frame(4), 6), "f3.jpg");
-    refused(&folder, &names, &["f3.jpg", "200x300", "orientation applied"]);
+    refused(&folder, &names, &["f3.jpg", "200x300", "EXIF orientation"]);
 }
 
 #[test]

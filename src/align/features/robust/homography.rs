@@ -71,8 +71,8 @@ mod tests {
     fn pairs(h: &Matrix3<f64>, n: usize) -> Vec<PointPair> {
         (0..n)
             .map(|i| {
-                // The points are on a parabola that is wrapped at the image size. Of any four points, no three are on a
-                // line.
+                // The points are on a parabola that is wrapped at the image size, so that three points are hardly ever
+                // on a line.
                 let (x, y) = ((i * 1237 % 4000) as f64, (i * i * 331 % 3000) as f64);
                 let (u, v) = map(h, x, y);
                 ([x, y], [u, v])
