@@ -18,8 +18,7 @@
 //! | loading | all frames, buffers of the decoders | buffers of as many decoders as fit |
 //! | alignment | all frames, all grey pyramids, features of a frame per thread | all pyramids, one frame or its features |
 //! | deghosting | all frames, cells | one frame, cells |
-//! | merging | all frames, the radiance map | rows of all frames and of radiance, in half of what remains of the memory
-//! limit |
+//! | merging | all frames, the radiance map | rows of all frames and of radiance, in half of what the limit leaves |
 //! | tone mapping | all frames, the radiance map, the overview | the overview, rows of radiance |
 //! | fusion | all frames, the radiance map, pyramids of the fusion | pyramids of the fusion, one frame |
 //! | inspection | as for alignment, but with all pyramid levels; drawings | the same |
