@@ -18,7 +18,7 @@
 //! | loading | all frames, buffers of the decoders | buffers of as many decoders as fit |
 //! | alignment | all frames, all grey pyramids, features of a frame per thread | all pyramids, one frame or its features |
 //! | deghosting | all frames, cells | one frame, cells |
-//! | merging | all frames, the radiance map | rows of all frames and of radiance, in half of what the limit leaves |
+//! | merging | all frames, the radiance map | rows of all frames and of radiance; they get half of the memory left |
 //! | tone mapping | all frames, the radiance map, the overview | the overview, rows of radiance |
 //! | fusion | all frames, the radiance map, pyramids of the fusion | pyramids of the fusion, one frame |
 //! | inspection | as for alignment, but with all pyramid levels; drawings | the same |
@@ -148,10 +148,10 @@ impl Demand {
     }
 
     /// Returns the bytes of alignment: the pyramids of all frames, and in addition the largest of three numbers. The
-    /// first are the bytes of the comparison of frames on `threads` threads. It converts whole levels up to the one
-    /// that has twice the width and height of the level of the features; of finer levels it reads only patches. The
-    /// second are the bytes of the features, which are detected in `detecting` frames at a time. The third is `whole`,
-    /// the bytes of a frame that is read from disk (0 if all frames are in memory).
+    /// first are the bytes of the comparison of frames on `threads` threads. From the coarsest level to the one that
+    /// has twice the width and height of the level of the features, the comparison converts whole levels; of finer
+    /// levels it reads only patches. The second are the bytes of the features, which are detected in `detecting` frames
+    /// at a time. The third is `whole`, the bytes of a frame that is read from disk (0 if all frames are in memory).
     ///
     /// Before features are detected, the grey image is doubled in width and height; the bitmaps are not. Each bitmap
     /// is processed by one thread.

@@ -132,7 +132,7 @@ pub enum Error {
     },
     /// No part of the reference is in all merged frames.
     #[error(
-        "{}: no part of {} is in all merged frames; of these, this one covers the smallest rectangle of it, or nothing; exclude this frame with --leave-out (in a batch, use `hdralign merge` for this), or correct the transform of this frame if you gave a file of transforms",
+        "{}: the merged frames have no part of {} in common; this frame shows the least of it; exclude this frame with --leave-out (in a batch, use `hdralign merge` for this), or correct the transform of this frame if you gave a file of transforms",
         path.display(),
         reference.display()
     )]

@@ -118,7 +118,9 @@ impl Template {
             )));
         }
         if text.is_empty() || text.ends_with('/') {
-            return Err(refused(format!("{text:?} has no name of a file at its end; append `{{first}}-{{last}}`")));
+            return Err(refused(format!(
+                "{text:?} ends without a file name; append one, for example `{{first}}-{{last}}`"
+            )));
         }
         Ok(Template(parts))
     }
@@ -218,8 +220,8 @@ mod tests {
             ("first}", "brace"),
             ("../{first}", "contains `..`"),
             ("/tmp/{first}", "begins with"),
-            ("{folder}/", "has no name of a file at its end"),
-            ("", "has no name of a file at its end"),
+            ("{folder}/", "ends without a file name"),
+            ("", "ends without a file name"),
         ] {
             let error = Template::parse(wrong).unwrap_err();
             assert!(error.is_usage() && error.to_string().contains(said), "{wrong}: {error}");

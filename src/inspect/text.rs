@@ -57,7 +57,7 @@ impl Tables {
                     "Table {}. {name}: motion found from each kind of keypoint alone, compared with the alignment",
                     4 + 2 * i
                 ),
-                "px: how far apart this motion and the alignment place the same pixel (root mean square over the picture).",
+                "px: distance between this motion and the motion that the alignment found (root mean square over the picture).",
                 &["EV", "plain", "px", "MTB", "px", "merged", "px"],
                 &|frame| comparison_row(frame, detected(frame)),
             );

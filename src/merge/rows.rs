@@ -34,8 +34,8 @@ impl Loops for MergedRow<'_, '_> {
 
 /// Computes the weight of each frame in the first row of a tile, for the report.
 pub(super) struct WeighedRow<'a, 'b> {
-    /// The frames whose weights are computed: with `None`, those with known transforms; otherwise those with an assumed
-    /// transform that fill this kind of pixels.
+    /// The frames whose weights are computed. With `None`, these are the frames with known transforms. Otherwise, they
+    /// are the frames with an assumed transform that fill pixels of the kind [`Fill`].
     pub fill: Option<Fill>,
     pub layers: &'a [Layer<'b>],
     pub tiles: &'a [Tile],

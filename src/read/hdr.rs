@@ -52,7 +52,7 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
                 let all = factor.and_then(|factor| metadata.exposure_scale.times(factor));
                 metadata.exposure_scale = all.ok_or_else(|| {
                     format!(
-                        "its header has `EXPOSURE={value}`; each EXPOSURE, and its product with those before it, must be \
+                        "its header has `EXPOSURE={value}`; each EXPOSURE, and its product with those of earlier lines, must be \
                          from 1e-20 to 1e20; correct the header, or write the file again"
                     )
                 })?;
@@ -61,7 +61,7 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
                 corrections = corrected(corrections, value).ok_or_else(|| {
                     format!(
                         "its header has `COLORCORR={value}`; each COLORCORR must be three numbers, one for each channel; \
-                         these, and their products with those before, must be from 1e-20 to 1e20; correct the header, \
+                         they, and their products with those of earlier COLORCORR lines, must be from 1e-20 to 1e20; correct the header, \
                          or write the file again"
                     )
                 })?;

@@ -38,8 +38,8 @@ pub(crate) struct TileFit {
     /// alike, in a way that no homography explains. Then `error` is larger than this.
     pub(crate) least_error: f64,
     /// How much the fit changes the parameters of the checked transform: the root mean square change, in standard
-    /// errors for nearly independent tiles. It is about 1 if the checked transform is right, because then only noise
-    /// changes the parameters.
+    /// errors. These are computed as if the errors of the tiles were nearly independent. The value is about 1 if the
+    /// checked transform is right, because then only noise changes the parameters.
     pub(crate) significance: f64,
 }
 

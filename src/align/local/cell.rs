@@ -48,8 +48,8 @@ pub(super) fn precision(sum: [f64; 3], count: f64, v: f64) -> [f64; 3] {
     let tones = k * TONE_SLOPE * TONE_SLOPE + 1e-12;
     let (a, c) = (xx + tones, yy + tones);
     let scale = k / (a * c - xy * xy);
-    // With T = S + `tones` I, (p, q) and (r, s) are the rows of S T^-1 det(T). The division by det(T) is in `scale`.
-    // The result is k S T^-1 S.
+    // T is S plus `tones` on the diagonal. The matrix S T^-1 det(T) has the rows (p, q) and (r, s). The division by
+    // det(T) is in `scale`. The result is k S T^-1 S.
     let (p, q) = (xx * c - xy * xy, xy * a - xx * xy);
     let (r, s) = (xy * c - yy * xy, yy * a - xy * xy);
     [scale * (p * xx + q * xy), scale * (p * xy + q * yy), scale * (r * xy + s * yy)]

@@ -144,9 +144,9 @@ impl Matches {
         [i % self.columns, i / self.columns].map(|at| (at * self.step) as f64 + (SIDE as f64 - 1.0) / 2.0)
     }
 
-    /// Returns the matches of the patches of `grid`, a level that is finer by one than that of `self`. The search
-    /// starts from (0, 0), and from the best of the shifts in `self` and in `starts`. `h` is in pixels of the full
-    /// size.
+    /// Returns the matches of the patches of `grid`. Unless `self` is empty, the level of `grid` is finer by one than
+    /// that of `self`. The search starts from (0, 0), and from the best of the shifts in `self` and in `starts`. `h` is
+    /// in pixels of the full size.
     fn finer(&self, pair: &FramePair, h: &Matrix3<f64>, grid: Grid, starts: &[Shift]) -> Self {
         let Grid { level, step, reach, is_chessboard } = grid;
         let h = &on_level(h, level);
@@ -263,9 +263,10 @@ impl Correlations<'_> {
         correlation
     }
 
-    /// Returns the correlation and the shift of the match; none if the patch is outside the frame. The search climbs
-    /// from (0, 0) and, unless the patch already matches there, from the candidate with the highest correlation. The
-    /// second result is used only if it is clearly better.
+    /// Returns the correlation and the shift of the match; none if the patch is not completely inside the frame. The
+    /// search climbs from (0, 0). Unless the correlation has its maximum there and is at least [`ENOUGH_CORRELATION`],
+    /// it also climbs from the candidate with the highest correlation. The second result is used only if it is clearly
+    /// better.
     fn search<'c>(&mut self, candidates: impl Iterator<Item = &'c Shift>) -> Option<(f32, Shift)> {
         if self.at((0, 0)).is_nan() {
             return None;
@@ -301,8 +302,8 @@ impl Correlations<'_> {
     }
 }
 
-/// The shifts with a distance of [`COARSEST_REACH`] along one or both axes: on the coarsest level of [`far`], the
-/// candidates for the start of the search.
+/// The corners, and the middles of the sides, of the square of shifts up to [`COARSEST_REACH`]. On the coarsest level
+/// of [`far`], they are the candidates for the start of the search.
 const RIM: [Shift; 8] = [(-3, -3), (0, -3), (3, -3), (-3, 0), (3, 0), (-3, 3), (0, 3), (3, 3)];
 /// The eight neighbours of a shift.
 const AROUND: [Shift; 8] = [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)];

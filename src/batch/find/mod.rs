@@ -167,7 +167,7 @@ impl fmt::Display for Reason {
             Reason::Remainder(frames) => {
                 write!(
                     f,
-                    "no bracket of {frames} is left for it: with the photographs before and after it, there are too few, or they differ in camera, size, flash or focal length, or their exposures are the same, or a pause is longer than --gap"
+                    "no bracket of {frames} is left for it; the photographs of a bracket have the same folder, camera, lens, size, flash and focal length, different exposures, and no pause longer than --gap"
                 )
             }
             Reason::OtherSize(own, others) => {

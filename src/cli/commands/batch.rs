@@ -132,8 +132,8 @@ pub struct Args {
     /// By default, each bracket that is merged gets a line with the number of its warnings. The summary at the end
     /// counts the brackets already done. The summary also shows the first warning of each degraded result, for at most
     /// 10 results. With -v, the warnings of a merged bracket follow its line, and each bracket already done gets a line
-    /// too. With -q, only errors, messages after Ctrl-C or another signal, and what stdout gets (file names, JSON, or
-    /// the list of --dry-run) are printed. -v has no effect with --dry-run, --plan, --run or --summarize
+    /// too. With -q, stdout still gets the file names, JSON, or the list of --dry-run; stderr gets only errors, and
+    /// messages after Ctrl-C or another signal. -v has no effect with --dry-run, --plan, --run or --summarize
     #[arg(short, long, help_heading = OUTPUT, conflicts_with = "quiet")]
     verbose: bool,
 

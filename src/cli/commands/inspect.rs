@@ -21,8 +21,8 @@ Files, for each photograph NAME (for the reference frame only the first three ki
                                            photograph, in its threshold bitmaps, or in both
   NAME.matches.svg, .png                   keypoints that match one in the reference frame: inliers
                                            (they agree on one motion) and outliers (they do not)
-  NAME.xor.svg, .png                       share of the pixels in which the bitmaps of frame and
-                                           reference differ, as curves over rotation and shift
+  NAME.xor.svg, .png                       share of compared pixels in which the bitmaps of frame
+                                           and reference differ, as curves over rotation and shift
   NAME.edges.svg, .png                     edges of frame and reference, before and after alignment
 and tables.txt, tables.json with exposures, keypoints, matches, transforms and bitmaps.
 

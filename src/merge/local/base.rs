@@ -35,8 +35,8 @@ const SMOOTH: f64 = 0.01;
 const PASSES: usize = 6;
 /// Tukey's biweight is 0 for errors of at least this many robust standard deviations.
 const REACH: f64 = 4.685;
-/// The standard deviation of the difference of two bases is assumed to be at least this, in stops. The value is about
-/// half of the error that deghosting assumes for a cell: 6 % (0.084 stops).
+/// The standard deviation of the difference of two bases is assumed to be at least this, in stops. The value is 0.6
+/// times the least error that deghosting assumes for a cell: 6 % (0.084 stops).
 const LEAST: f64 = 0.05;
 /// Allowed range of the slope of the curve, in stops of the scene's base per stop of the frame's base. The slope is at
 /// least 1, because a phone compresses and never expands. A slope above the range would amplify noise.

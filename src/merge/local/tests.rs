@@ -116,8 +116,8 @@ fn lights_of_a_phones_frames_are_shown_by_a_shorter_exposure() {
     let local = LocalGain::find(&bracket, &alignment, &ResponseCurve::srgb(), alignment.overlap).unwrap();
     let photographed = Photographed { longest: 0.25, shortest: 4.0, contrast: 1.0, white_stops: 2.2 };
     let expanded = local.photographed(photographed);
-    // The 2.2 stops from the middle to white are expanded to between 2.2 and 2.5 x 2.2 stops, so white becomes brighter
-    // by at most 1.5 x 2.2 stops.
+    // The 2.2 stops from the middle to white are expanded by a factor of at most 2.5. So white becomes brighter by at
+    // most 2.5 x 2.2 - 2.2 = 1.5 x 2.2 stops.
     assert!(expanded.shortest > 4.5 && expanded.shortest < 4.0 * libm::exp2(1.5 * 2.2), "{expanded:?}");
     assert_eq!(Photographed { shortest: 4.0, ..expanded }, photographed);
 }

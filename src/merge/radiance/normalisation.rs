@@ -5,10 +5,9 @@
 //! [`calibration::calibrate`](crate::merge::radiance::calibration::calibrate).
 //!
 //! Merged radiance r is relative to the exposure h of the reference frame: where r is 1, this frame has the middle code
-//! value. At an exposure twice as long, the middle code value needs half the radiance. So if r is multiplied by u / h,
-//! radiance 1 gives the middle code value at the exposure u, whichever frame is the reference. Brackets with the same
-//! response and the same u agree within the errors of shutter, aperture and noise. Brackets with separate responses
-//! also differ by the difference of the responses.
+//! value. At the exposure u, the middle code value needs the radiance r = h / u. The factor u / h makes this radiance
+//! 1, whichever frame is the reference. Brackets with the same response and the same u agree within the errors of
+//! shutter, aperture and noise. Brackets with separate responses also differ by the difference of the responses.
 
 use crate::bracket::Frame;
 use crate::bracket::exposure::ExposureSource;

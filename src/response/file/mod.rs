@@ -209,7 +209,7 @@ impl SavedResponse {
     ///
     /// # Errors
     /// [`Error::ResponseFile`] if the text is not JSON, or has another schema, or its numbers are not those of a
-    /// response: per channel, 256 increasing numbers from -80 to 80, and a black code from 0 to less than 128.
+    /// response: per channel, 256 increasing numbers between -80 and 80, and a black code from 0 to less than 128.
     pub fn from_json(text: &str, path: &Path) -> Result<Self> {
         let wrong = |reason: String| Error::ResponseFile { path: path.to_owned(), reason };
         let header: Header = serde_json::from_str(text).map_err(|e| {

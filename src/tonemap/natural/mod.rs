@@ -13,10 +13,10 @@
 //! 3. A contrast curve is applied. A power function darkens the picture if the longest exposure is dark. If the
 //!    photographs are not known, this function also aims at the brightness of a typical photograph.
 //! 4. Linear functions carry luminance from the grid to the pixels (`guide`). A photograph shows the same place in
-//!    different colours, depending on the exposure. For each cell of the grid, the exposure is chosen in which it
-//!    would be as bright as it is in the tone-mapped picture. The pixels of the cell get about the colours that they
-//!    would have in this exposure. If the photographs are not known, the hue is nearly that of the scene, and chroma is
-//!    never increased.
+//!    different colours, depending on the exposure. For each cell of the grid, an exposure is chosen: the one in which
+//!    the cell would be as bright as it is in the tone-mapped picture. The pixels of the cell get about the colours
+//!    that they would have in this exposure. If the photographs are not known, the hue is nearly that of the scene, and
+//!    chroma is never increased.
 //!
 //! The constants below were chosen by eye and in blind comparisons on sixteen photographed brackets.
 
@@ -83,11 +83,12 @@ pub const CELLS: usize = 1 << 17;
 /// Code value (0 to 1) of the highlights in the shortest exposure, and the share of the pixels that are darker than the
 /// highlights.
 const LIGHTS: (f64, f64) = (0.9, 0.999);
-/// If nothing is known about the photographs, as with files of other programs: (assumed code value, 0 to 1, of the
-/// shadows in the longest exposure; share of the pixels that are darker than the shadows).
+/// Two values that are assumed if nothing is known about the photographs, as with files of other programs: the code
+/// value (0 to 1) that shadows have in the longest exposure, and the share of the pixels that are darker than these
+/// shadows.
 const SHADOWS: (f64, f64) = (0.4, 0.01);
-/// If nothing is known about the photographs: (assumed contrast; assumed stops from the middle code value to white).
-/// Both are typical of cameras.
+/// Two values that are assumed if nothing is known about the photographs: the contrast, and the stops from the middle
+/// code value to white. Both are typical of cameras.
 const CAMERA: (f64, f64) = (1.4, 2.6);
 /// Largest distance between neighbouring exposures, in stops.
 const STEP: f64 = 2.0;

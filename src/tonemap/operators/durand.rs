@@ -39,7 +39,7 @@ impl Options {
                 "base",
                 (0.5, 10.0),
                 &mut self.base_stops,
-                "largest range of the large differences of brightness, in stops; a smaller range is not enlarged",
+                "if large areas differ in brightness by more stops than this, the difference is reduced to this",
             ),
             Setting::number(
                 "reach",

@@ -314,8 +314,9 @@ mod tests {
     fn complete_files_above_limit_are_closed_and_claimed() {
         let dir = tempfile::tempdir().unwrap();
         let registry = registry();
-        // `tempfile_in` creates a file without a name (O_TMPFILE). If the file system cannot do this, it deletes the
-        // name of an ordinary file; such a file cannot get a name again, so its content is copied to a new file.
+        // `tempfile_in` creates a file without a name (O_TMPFILE). If the file system cannot do this, `tempfile_in`
+        // creates a file and deletes its name. Such a file cannot get a name again, so its content is copied to a new
+        // file.
         let keep = || {
             let file = tempfile::tempfile_in(dir.path()).unwrap();
             TemporaryFile { registry, folder: dir.path().to_owned(), file, name: None }.stage().unwrap()
