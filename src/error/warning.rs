@@ -29,7 +29,7 @@ pub enum Warning {
     },
     /// A frame is too dark or too bright to be aligned; its transform is assumed from those of the other frames.
     #[error(
-        "{}: too {} to be aligned ({reason}): its position is estimated from the other frames, probably to within {error_px:.1} px; the radiance uses it only where all aligned frames are {}; if it is misaligned there, exclude it with --leave-out (in a batch, use `hdralign merge` for this)",
+        "{}: too {} to be aligned ({reason}): its position is estimated from the other frames, probably to within {error_px:.1} px; the radiance uses it only where all frames with a known position are (nearly) {}; if it is misaligned there, exclude it with --leave-out (in a batch, use `hdralign merge` for this)",
         path.display(),
         if *is_dark { "dark" } else { "bright" },
         if *is_dark { "clipped" } else { "black" }

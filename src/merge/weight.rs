@@ -37,7 +37,7 @@ pub enum Weight {
     Plateau,
     /// All values count the same, clipped or not.
     Uniform,
-    /// A pixel value has a large weight if a small change of light changes it much. Mann & Picard 1995.
+    /// A pixel value has a large weight if a small part of a stop changes it much. Mann & Picard 1995.
     MannPicard,
     /// Frames with less noise count more. The weight is 1 / variance. The variance contains the noise (at least one
     /// code value of 8 bits) and an assumed error of response and exposure. The weight falls to 0 near black and white.

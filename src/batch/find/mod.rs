@@ -167,7 +167,7 @@ impl fmt::Display for Reason {
             Reason::Remainder(frames) => {
                 write!(
                     f,
-                    "no bracket of {frames} is left for it; the photographs of a bracket have the same folder, camera, lens, size, flash and focal length, different exposures, and no pause longer than --gap"
+                    "no bracket of {frames} is left for it; the photographs of a bracket have the same camera, lens, size, flash and focal length, are in one folder (or in numbered folders of one card), do not all have the same exposure, and have no pause longer than --gap"
                 )
             }
             Reason::OtherSize(own, others) => {

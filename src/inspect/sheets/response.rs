@@ -54,7 +54,7 @@ pub fn draw(title: &str, curve: &ResponseCurve, samples: &Drawn, notes: &str) ->
         stops(low).max(-DEEPEST),
         stops(high),
         10,
-        "exposure in stops; at 0, the mean of red, green and blue is code value 128",
+        "exposure in stops; 0: mean of red, green and blue at code value 128",
     );
     let x = Axis::at(0.0, 255.0, [0, 32, 64, 96, MID, 160, 192, 224, 255], "code value");
     let plot = Plot { area, x, y: up };
@@ -132,7 +132,7 @@ mod tests {
         for words in [
             "Acme &lt;One&gt;",
             "code value",
-            "exposure in stops; at 0, the mean of red, green and blue is code value 128",
+            "exposure in stops; 0: mean of red, green and blue at code value 128",
             "sRGB",
             "a note",
         ] {

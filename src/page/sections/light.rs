@@ -116,7 +116,7 @@ fn response(report: &Report, curve: &ResponseCurve) -> String {
         (520.0, 340.0),
         0.0,
         x,
-        Axis::round(low, high, 8, "exposure in stops; at 0, the mean of red, green and blue is pixel value 128"),
+        Axis::round(low, high, 8, "exposure in stops; 0: mean of red, green and blue at pixel value 128"),
     );
     let points = |g: &[f64; CODES]| {
         let deep = |z: &usize| stops(g[*z]) >= -DEEPEST;

@@ -39,7 +39,7 @@ impl Options {
                 "base",
                 (0.5, 10.0),
                 &mut self.base_stops,
-                "if large areas differ in brightness by more stops than this, the difference is reduced to this",
+                "range of brightness of large areas, in stops; a larger range is reduced to this, a smaller one stays",
             ),
             Setting::number(
                 "reach",
