@@ -6,16 +6,17 @@
 Each subfolder of FOLDER with a truth.json is a bracket: {"kind": ..., "width": ..., "height": ..., "frames": [{"file":
 ..., "is_reference": ..., "homography": 3 x 3, reference pixel -> frame pixel}]}. If the motion is not one homography,
 flow_NN.npy has for img_NN.jpg the displacement (dx, dy) of each reference pixel and seen_NN.png which pixels the frame
-sees; mover_NN.png of the reference frame are pixels of a moving thing, which are left out for the kind `walker`.
-A FOLDER may also be a file that --json wrote. --list prints each frame,
---json writes them. Needs Python 3, NumPy and OpenCV (pip install numpy opencv-python-headless).
+sees; mover_NN.png of the reference frame are pixels of a moving thing, which are left out for the kind `walker`. A
+FOLDER may also be a file that --json wrote. --list prints each frame, --json writes them. Needs Python 3, NumPy and
+OpenCV (pip install numpy opencv-python-headless).
 
 Printed for each kind and for all: frames; wrong frames that are not doubted (silent: more than 3 % of the unclipped
 pixels that both see are displaced by more than 2 px, and the confidence is 0.5 or more); how many of the right frames
-are doubted (confidence below 0.5; rejected frames are neither right nor silent); planar frames: share with a mean error below 1 px, median and 90th percentile; other frames: how
-much less of the picture is within 1 px than with the best homography, in points (median, 75th percentile, largest);
-exactly unmoved frames of those that did not move; stated `error_px` over the true root mean square (5th percentile, median, 95th); shares of right frames in three ranges
-of the confidence."""
+are doubted (confidence below 0.5; rejected frames are neither right nor silent); planar frames: share with a mean error
+below 1 px, median and 90th percentile; other frames: how much less of the picture is within 1 px than with the best
+homography, in points (median, 75th percentile, largest); exactly unmoved frames of those that did not move; stated
+`error_px` over the true root mean square (5th percentile, median, 95th); shares of right frames in three ranges of the
+confidence."""
 import argparse, json, pathlib, subprocess, sys, tempfile
 from fnmatch import fnmatch
 import cv2

@@ -61,7 +61,7 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Contents, String> {
                 corrections = corrected(corrections, value).ok_or_else(|| {
                     format!(
                         "its header has `COLORCORR={value}`; each COLORCORR must be three numbers, one for each channel; \
-                         they, and their products with those of earlier COLORCORR lines, must be from 1e-20 to 1e20; correct the header, \
+                         each, and its product with those of earlier lines, must be from 1e-20 to 1e20; correct the header, \
                          or write the file again"
                     )
                 })?;

@@ -155,8 +155,8 @@ fn continuation_has_the_surrounding_colour_without_seam() {
     let share = |x: usize| [0, 1, 2].map(|c| found.at(x, 90)[c] / lit[c]);
     for x in 60..180 {
         // The outer part of the shadow's edge is brighter than the clipping level of the reference. In red, this level
-        // is a third of the sunlight. Where the reference is clipped, it does not contradict the other frames, so their
-        // shadow's edge remains. This part of the edge has at least half of the sunlight.
+        // is a third of the sunlight. Where the reference is clipped, it does not contradict the frame with the shadow,
+        // so this part of the edge remains. It has at least half of the sunlight.
         let [r, g, b] = share(x);
         assert!(r > 0.5 && (g / r - 1.0).abs() < 0.04 && (b / r - 1.0).abs() < 0.04, "{x}: {:?}", share(x));
         // The tolerance allows for the edge of the shadow, which rises by 0.04 per pixel.
