@@ -37,8 +37,8 @@ pub(in crate::inspect) fn draw(
         entry(OUTLIER, format!("outliers: {}", matching.pairs.len() - inliers)),
     ];
     let mut notes =
-        "A match is a pair of keypoints that are more similar to each other than to other keypoints of similar size and \
-                     direction. Inliers agree with the homography, outliers do not."
+        "A match is a pair of keypoints that are more similar to each other than to other keypoints of the same kind and of \
+                     similar size and direction. Inliers agree with the homography, outliers do not."
             .to_owned();
     let stride = stride(matching.pairs.len());
     if stride > 1 {

@@ -155,8 +155,8 @@ fn continuation_has_the_surrounding_colour_without_seam() {
     let share = |x: usize| [0, 1, 2].map(|c| found.at(x, 90)[c] / lit[c]);
     for x in 60..180 {
         // The outer part of the shadow's edge is brighter than the clipping level of the reference. In red, this level
-        // is a third of the sunlight. Where the reference is clipped, it does not contradict the frame with the shadow,
-        // so this part of the edge remains. It has at least half of the sunlight.
+        // is a third of the sunlight. There the frame with the shadow does not contradict the reference, which only shows
+        // that the radiance is at least this level. So part of the edge remains; it has at least half of the sunlight.
         let [r, g, b] = share(x);
         assert!(r > 0.5 && (g / r - 1.0).abs() < 0.04 && (b / r - 1.0).abs() < 0.04, "{x}: {:?}", share(x));
         // The tolerance allows for the edge of the shadow, which rises by 0.04 per pixel.
@@ -178,10 +178,9 @@ fn bright_object_beside_motion_keeps_its_shape() {
     let ghosts = seek(&bracket, &alignment);
     assert!(ghosts.report().ghost_fraction > 0.02);
     let (found, plain) = (merged(&bracket, &alignment, Some(&ghosts)), merged(&bracket, &alignment, None));
-    // The radiance that fills the hole is at most the geometric mean of both kinds of bars, which is 22 % above the
-    // darker bars.
+    // The bars begin within the margin of the motion. Only the shorter frame shows them, so it keeps its weight there.
     let ratio = |x| found.at(x, 56)[1] / plain.at(x, 56)[1];
-    assert!((100..140).all(|x| (1.0..1.1).contains(&ratio(x))), "{:?}", &found.row(56)[100..140]);
+    assert!((100..140).all(|x| (0.99..1.01).contains(&ratio(x))), "{:?}", &found.row(56)[100..140]);
     assert!(found.at(120, 90)[0] < 0.5 * plain.at(120, 90)[0]);
 }
 
@@ -242,7 +241,7 @@ fn a_mover_before_a_wall_whose_colour_misfits_does_not_take_the_wall_along() {
     };
     let (bracket, alignment) = bracket([&wall, &wall, &misfit]);
     let found = seek(&bracket, &alignment).report().ghost_fraction;
-    // The speck is a third of a percent of the picture. With its margin it is up to 26 pixels square, which is 1.6 %.
+    // The speck is a third of a percent of the picture. With its margin it is up to 32 pixels square, which is 2.4 %.
     assert!((0.002..0.025).contains(&found), "{found}");
 }
 

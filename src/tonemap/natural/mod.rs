@@ -2,9 +2,10 @@
 //!
 //! In: a scene. Out: its tones. Cost: for ten exposures, about 2 us per cell of a grid of at most [`CELLS`] cells;
 //! three interpolations per pixel. Source: [exposure fusion](super::fusion) (Mertens et al. 2007) applied to computed
-//! exposures. The number of computed exposures follows from the scene's highlights and the bracket's longest exposure.
-//! Neighbouring exposures are at most two stops apart (for ranges up to 30 stops), and all of them show the same scene,
-//! without moving objects. Radiance maps from other programs are handled the same way.
+//! exposures. The number of computed exposures follows from the scene's highlights and the bracket's longest and
+//! shortest exposures. Neighbouring exposures are at most two stops apart (for ranges up to 30 stops), and all of them
+//! show the same scene, without moving objects. For radiance maps from other programs, the longest exposure follows from
+//! the scene's shadows instead, and a typical camera and brightness are assumed.
 //!
 //! 1. Exposures of the scene are computed on a grid. The shortest one shows the highlights; the longest one equals the
 //!    longest exposure of the bracket. The photographer chose this exposure, so it shows how bright the scene was, and
@@ -16,7 +17,7 @@
 //!    different colours, depending on the exposure. For each cell of the grid, an exposure is chosen: the one in which
 //!    the cell would be as bright as it is in the tone-mapped picture. The pixels of the cell get about the colours
 //!    that they would have in this exposure. If the photographs are not known, the hue is nearly that of the scene, and
-//!    chroma is never increased.
+//!    chroma is not increased (unless the setting `saturation` is above 1).
 //!
 //! The constants below were chosen by eye and in blind comparisons on sixteen photographed brackets.
 
@@ -99,9 +100,9 @@ const MOST_EXPOSURES: usize = 16;
 /// end, and the fraction of cells that are brighter than its bright end.
 const ENDS: (f64, f64) = (0.005, 0.003);
 /// Let d be the code value (0 to 1) of the dark end of the fused picture, limited to at most the second number. The
-/// code value d times the first number becomes black.
+/// code value d times the first number is scaled to 0.
 const BLACK: (f32, f32) = (0.5, 0.15);
-/// Smallest code value (0 to 1) of the fused picture that can become white.
+/// Smallest code value (0 to 1) of the fused picture that can be scaled to 1, before [`KNEE`] compresses it.
 const WHITE: f32 = 0.8;
 /// Code value (0 to 1) above which values are compressed softly. Fused values can exceed white, and darkening the whole
 /// picture instead would reduce contrast.
