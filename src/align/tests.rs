@@ -1,7 +1,9 @@
 //! Tests of [`align`]: the placement of every frame of a bracket.
 
 use super::*;
-use crate::align::scene::{Scene, Shot, rigid, shift};
+use crate::align::agreement::periods;
+use crate::align::grey::content_and_pyramid;
+use crate::align::scene::{Scene, Shot, photograph, rigid, shift};
 use crate::align::transform::distance;
 use crate::bracket::exposure::Exposure;
 use crate::bracket::{Frame, ReferenceChoice, Samples};
@@ -83,6 +85,29 @@ fn frame_of_another_scene_is_rejected_with_a_warning() {
     assert!(message.contains("--unmoved stranger") && message.contains("--align none"), "{message}");
     // The rejected frame does not narrow the overlap.
     assert!(alignment.overlap.width() > 375 && alignment.overlap.height() > 248);
+}
+
+/// In the dark reference, noise and rounding hide that the scene repeats; the brighter frame shows it.
+#[test]
+fn scene_that_repeats_is_recognised_although_the_reference_is_dark() {
+    let scene = Scene::new(43);
+    let tiles = |x: f64, y: f64| {
+        let tile = scene.radiance((x + 0.1 * y).rem_euclid(31.0), (y - 0.1 * x).rem_euclid(31.0));
+        1.0 + 0.2 * tile.log2()
+    };
+    let take = |name, transform: &Transform, ev| frame(name, &photograph(SIZE, transform, Shot::at(ev), tiles), ev);
+    let frames = vec![take("dark", &Transform::Identity, -7.0), take("bright", &shift(4.0, 3.0), -2.0)];
+    let bracket = Bracket::new(frames, &ReferenceChoice::Number(1)).unwrap();
+    let options = AlignOptions::default();
+    let repeats = |frame: &Frame| {
+        let pyramid = content_and_pyramid(frame).unwrap().1;
+        !periods(&pyramid, options.mtb.max_shift).is_empty()
+    };
+    assert_eq!([0, 1].map(|i| repeats(&bracket.frames()[i])), [false, true]);
+    let (alignment, _) = align(&bracket, &options).unwrap();
+    let placement = &alignment.placements[1];
+    assert_eq!(placement.status(), Status::Rejected, "{placement:?}");
+    assert!(placement.reason().is_some_and(|reason| reason.contains("the scene repeats")), "{placement:?}");
 }
 
 /// Exposure, in EV, of a frame without usable detail. The brightest parts of the scene have a radiance of 2^5

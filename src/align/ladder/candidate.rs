@@ -7,8 +7,8 @@ use crate::align::agreement;
 use crate::align::agreement::{Agreement, TileCheck, TileFit, check_tiles};
 use crate::align::grey::measured_level;
 use crate::align::ladder::thresholds::{
-    CORROBORATED_CONFIDENCE, SETTLED_AGREEING, SETTLED_DECIDED_PER_DISAGREEING, SETTLED_ERROR_PX, TILE_NOISE_PX,
-    TOLERANCE_PX,
+    CORROBORATED_CONFIDENCE, HARDLY_DISPLACED, SETTLED_AGREEING, SETTLED_DECIDED_PER_DISAGREEING, SETTLED_ERROR_PX,
+    TILE_NOISE_PX, TOLERANCE_PX,
 };
 use crate::align::refinement::FramePair;
 use crate::align::transform::{Transform, level_to_full, on_level};
@@ -31,7 +31,8 @@ pub(crate) struct Candidate {
     /// distance of the fitted transform from `transform` ([`TileFit::moved`]), and e the least error of the fit
     /// ([`TileFit::least_error`]). With fewer tiles, it is the median displacement of the agreeing tiles minus
     /// [`TILE_NOISE_PX`]. If `reduce` replaces the transform by one that tiles cannot distinguish from it, this value
-    /// is kept. If `reduce` sets the frame to unmoved, `reduce` limits this value.
+    /// is kept. If `reduce` chooses a shift or a rigid transform, it may raise this value, and if it sets the frame to
+    /// unmoved, limit it.
     pub(crate) tiles_px: f64,
     /// The part of the displacement of the tiles that its expected error does not explain.
     pub(crate) excess_px: f64,
@@ -69,6 +70,13 @@ impl Candidate {
     /// Whether even the cautious estimate of the error is small enough to merge the frame.
     pub(super) fn is_precise(&self) -> bool {
         self.most_px() < self.tolerance_px
+    }
+
+    /// Whether the error is small enough to merge the frame where it has detail: many tiles agree, and they are hardly
+    /// displaced. The error over the whole picture may be large if most of the frame is clipped; but there the frame
+    /// has no weight in the merge.
+    pub(super) fn is_precise_at_tiles(&self) -> bool {
+        self.agreement().agreeing >= SETTLED_AGREEING && self.agreement().offset < HARDLY_DISPLACED
     }
 
     /// The confidence, 0..=1: the agreement of the tiles, reduced by the error estimate.

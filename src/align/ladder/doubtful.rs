@@ -5,8 +5,8 @@
 //! of keypoints and inliers. Cost: several times that of a frame that needs only the bitmaps.
 
 use crate::align::grey::GreyPyramid;
-use crate::align::ladder::ReferenceFeatures;
 use crate::align::ladder::Search;
+use crate::align::ladder::Shared;
 use crate::align::ladder::candidate::Candidate;
 use crate::align::ladder::reduction::reduce;
 use crate::align::ladder::selection::{Candidates, estimate, is_acceptable, rejected, rejection_reason};
@@ -41,6 +41,9 @@ impl Target<'_> {
     }
 }
 
+/// Largest number of times that the best candidate is shifted by a period. A wrong one may be several periods off.
+const MOST_PERIODS: usize = 4;
+
 impl Search<'_> {
     /// Places frame `i`, for which the bitmaps gave only the doubtful candidate `first`, or none.
     pub(super) fn doubtful(
@@ -48,7 +51,7 @@ impl Search<'_> {
         i: usize,
         first: Option<Candidate>,
         neighbour: Option<Target>,
-        shared: &ReferenceFeatures,
+        shared: &Shared,
     ) -> Found {
         let frame = &self.pyramids[i];
         let (width, height) = self.size();
@@ -56,6 +59,7 @@ impl Search<'_> {
         let alike = |a: &Transform, b: &Transform| distance(a, b, width, height) <= near;
         let reference = Target { pyramid: Cow::Borrowed(self.reference_pyramid()), error_px: 0.0, confidence: 1.0 };
         let targets: Vec<Target> = [reference].into_iter().chain(neighbour).collect();
+        let repeats = shared.repetition.concerns(i);
         let mut candidates = Candidates::default();
         candidates.add(0, first);
         for (b, target) in targets.iter().enumerate().skip(1) {
@@ -64,9 +68,7 @@ impl Search<'_> {
         }
         let mut found = FeatureCounts::default();
         let mut is_corroborated = false;
-        let is_settled = |candidates: &Candidates| {
-            shared.periods.is_empty() && candidates.best().is_some_and(|(_, c)| c.is_settled())
-        };
+        let is_settled = |candidates: &Candidates| !repeats && candidates.best().is_some_and(|(_, c)| c.is_settled());
         if let (false, Some(reference)) = (is_settled(&candidates), &shared.features) {
             let own = self.features(i);
             found.keypoints = Some(own.counts);
@@ -82,22 +84,8 @@ impl Search<'_> {
                 }
             }
         }
-        // If the reference is a repeating pattern, a transform that is shifted by a period may match as well as the
-        // best one.
-        if let Some((_, best)) = candidates.best().filter(|_| !shared.periods.is_empty()) {
-            let pair = targets[0].compare(frame, &best.transform);
-            let h = best.transform.matrix(width, height);
-            let shifts = shared.periods.iter().flat_map(|&(dx, dy)| [(dx, dy), (-dx, -dy)]);
-            let shifted = shifts.filter_map(|(dx, dy)| {
-                let shift = Transform::Rigid { dx, dy, angle: 0.0 }.matrix(width, height);
-                by_start(&pair, &Transform::Homography(h * shift), 0)
-            });
-            let shifted: Vec<Candidate> = shifted.collect();
-            shifted.into_iter().for_each(|candidate| candidates.add(0, Some(candidate)));
-        }
-        // The other minima are also tried if the reference is a repeating pattern: in such a picture, features fail as
-        // easily as bitmaps.
-        if !shared.periods.is_empty() || !(is_settled(&candidates) || is_corroborated) {
+        // The other minima are also tried if the scene repeats: in such a picture, features fail as easily as bitmaps.
+        if repeats || !(is_settled(&candidates) || is_corroborated) {
             let start = candidates.best().map_or(Transform::Identity, |(_, c)| c.transform);
             let angle = start.rotation_deg(width, height).to_radians();
             for (b, target) in targets.iter().enumerate() {
@@ -106,16 +94,28 @@ impl Search<'_> {
                 }
             }
         }
-        let same =
-            |a: &Candidate, b: &Candidate| distance(&a.transform, &b.transform, width, height) <= SAME_APART * near;
-        let Some((b, best)) = candidates.winner(same) else {
+        // If the scene repeats, a transform that is shifted by a period may match as well as the best one, or better.
+        for _ in 0..MOST_PERIODS {
+            let Some((b, best)) = candidates.best().filter(|_| repeats) else { break };
+            let best = best.transform;
+            let pair = targets[b].compare(frame, &best);
+            for start in shared.repetition.shifted(i, &best.matrix(width, height)) {
+                candidates.add(b, by_start(&pair, &start, 0).map(|c| targets[b].discount(c)));
+            }
+            if candidates.best().is_some_and(|(_, c)| c.transform == best) {
+                break;
+            }
+        }
+        let Some((b, best)) = candidates.winner() else {
             return (rejected(rejection_reason(None), 0.0), found);
         };
-        let uniqueness = candidates.uniqueness((b, best), |c| !same(c, best));
-        let best = Candidate { reliability: best.reliability * uniqueness, ..best.clone() };
-        if !is_acceptable(&best) {
-            return (rejected(rejection_reason(Some(&best)), best.confidence()), found);
+        let is_other = |c: &Candidate| distance(&c.transform, &best.transform, width, height) > SAME_APART * near;
+        let uniqueness = candidates.uniqueness((b, best), is_other);
+        let unique = Candidate { reliability: best.reliability * uniqueness, ..best.clone() };
+        if !is_acceptable(&unique) {
+            return (rejected(rejection_reason(Some(best)), unique.confidence()), found);
         }
+        let best = unique;
         let reduced = reduce(&targets[b].compare(frame, &best.transform), best.clone());
         let noise_px = reduced.noise_px.max(targets[b].error_px);
         let reduced = Candidate { reliability: best.reliability, noise_px, ..reduced };

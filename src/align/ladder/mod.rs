@@ -5,9 +5,9 @@
 //!
 //! A frame is aligned to the reference by bitmaps (`starts`). The transform is refined and then checked (`candidate`).
 //! If the check leaves doubt, further candidates are found (`doubtful`): by alignment to the neighbour in exposure that
-//! is already aligned, by features, from the other minima of the bitmap search, and, if the reference is a repeating
-//! pattern, by shifting the best candidate by one period. `selection` chooses among the candidates. `reduction` chooses
-//! the smallest model that suffices. The transform of a frame with too little detail is inferred from the other frames
+//! is already aligned, by features, from the other minima of the bitmap search, and, if the scene repeats, by shifting
+//! the best candidate by one period (`repetition`). `selection` chooses among the candidates. `reduction` chooses the
+//! smallest model that suffices. The transform of a frame with too little detail is inferred from the other frames
 //! (`inferred`, `camera_track`). Finally, `local_check` measures how much of the picture the transform does not fit. If
 //! the transform is a compromise between several motions, `local_check` replaces it by the homography of the dominant
 //! motion. That homography is neither refined on the pixels nor checked by tiles.
@@ -18,12 +18,12 @@ mod doubtful;
 mod inferred;
 mod local_check;
 mod reduction;
+mod repetition;
 mod selection;
 mod starts;
 mod thresholds;
 
 use crate::align::AlignOptions;
-use crate::align::agreement;
 use crate::align::agreement::LEAST_SIDE;
 use crate::align::bitmaps;
 use crate::align::features;
@@ -33,6 +33,7 @@ use crate::align::ladder::camera_track::capture_times;
 use crate::align::ladder::candidate::{Candidate, evaluate};
 use crate::align::ladder::local_check::LocalCheck;
 use crate::align::ladder::reduction::reduce;
+use crate::align::ladder::repetition::Repetition;
 use crate::align::ladder::selection::{estimate, rejected, rejection_reason};
 use crate::align::ladder::starts::by_bitmaps;
 use crate::align::ladder::thresholds::LEAST_INLIERS;
@@ -78,14 +79,12 @@ enum FirstResult {
     Doubtful(Option<Candidate>),
 }
 
-/// Properties of the reference that are needed to align the frames that bitmaps and refinement alone do not align
-/// ([`FirstResult::Doubtful`]).
-struct ReferenceFeatures {
+/// What is needed to align the frames that bitmaps and refinement alone do not align ([`FirstResult::Doubtful`]).
+struct Shared {
     /// The features of the reference. `None` if bitmaps and refinement aligned every frame, so that features are not
     /// needed.
     features: Option<FeatureSets>,
-    /// The shifts under which the reference matches itself ([`agreement::periods`]), in pixels.
-    periods: Vec<(f64, f64)>,
+    repetition: Repetition,
 }
 
 impl Search<'_> {
@@ -129,11 +128,11 @@ impl Search<'_> {
             self.leave_uniform_frames_unmoved(&mut placements);
             return (placements, counts);
         }
-        let periods = agreement::periods(self.reference_pyramid(), self.options.mtb.max_shift);
-        let first = map_at_once(self.pyramids.len(), self.compared_at_once, |i| self.first(i, !periods.is_empty()));
+        let repetition = Repetition::find(self);
+        let first = map_at_once(self.pyramids.len(), self.compared_at_once, |i| self.first(i, repetition.concerns(i)));
         let is_settled = |i: usize| i == self.reference || matches!(first[i], FirstResult::Settled(_));
         let features = (0..first.len()).any(|i| !is_settled(i)).then(|| self.features(self.reference));
-        let shared = ReferenceFeatures { features, periods };
+        let shared = Shared { features, repetition };
         // Frames are placed outwards from the reference, on the darker and on the brighter side, so that the inner
         // neighbour of a frame is placed before the frame itself.
         let orders: [Vec<usize>; 2] =
@@ -213,7 +212,7 @@ impl Search<'_> {
 
     /// Places the frames of `order`, which starts next to the reference. A frame whose first result is not final is
     /// also compared with a neighbour: the nearest frame that precedes it in `order` and was placed.
-    fn outwards(&self, order: &[usize], first: &[FirstResult], shared: &ReferenceFeatures) -> Vec<Found> {
+    fn outwards(&self, order: &[usize], first: &[FirstResult], shared: &Shared) -> Vec<Found> {
         let mut all: Vec<Found> = Vec::with_capacity(order.len());
         for &i in order {
             let found = match &first[i] {

@@ -4,8 +4,7 @@
 //! on the finest level for each smaller model that can come near the homography.
 
 use crate::align::grey::{finest_level, measured_level};
-use crate::align::ladder::candidate::Candidate;
-use crate::align::ladder::candidate::evaluate;
+use crate::align::ladder::candidate::{Candidate, evaluate};
 use crate::align::refinement::{FramePair, refine};
 use crate::align::transform::{Model, Transform, distance, level_to_full, restrict};
 
@@ -70,7 +69,11 @@ pub(crate) fn reduce(pair: &FramePair, whole: Candidate) -> Candidate {
             if candidate.agreement().share() >= whole.agreement().share() - 0.02
                 && candidate.agreement().offset <= whole.agreement().offset + 0.01
             {
-                return candidate;
+                // The smaller model may be insufficient without any sign of it in the tiles. Therefore the cautious
+                // estimate of the error is at least that of the homography.
+                let (most, noise) = (whole.most_px(), candidate.noise_px);
+                let rest_px = (most * most - noise * noise).max(0.0).sqrt();
+                return Candidate { tiles_px: candidate.tiles_px.max(rest_px), ..candidate };
             }
         }
     }

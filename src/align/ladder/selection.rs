@@ -14,10 +14,12 @@ use crate::align::transform::Model;
 /// Whether a candidate is good enough to merge the frame.
 pub(super) fn is_acceptable(candidate: &Candidate) -> bool {
     let agreement = candidate.agreement();
-    let unopposed = agreement.agreeing >= UNOPPOSED_AGREEING
+    let is_unopposed = agreement.agreeing >= UNOPPOSED_AGREEING
         && agreement.disagreeing * UNOPPOSED_AGREEING_PER_DISAGREEING <= agreement.agreeing;
     candidate.confidence() >= ACCEPTED_CONFIDENCE
-        || (unopposed && candidate.reliability >= ACCEPTED_RELIABILITY && candidate.is_precise())
+        || (is_unopposed
+            && candidate.reliability >= ACCEPTED_RELIABILITY
+            && (candidate.is_precise() || candidate.is_precise_at_tiles()))
 }
 
 /// The candidates of a frame, each with the index of the target (the reference, or a warped neighbour) that the frame
@@ -61,15 +63,11 @@ impl Candidates {
     /// the one whose worst result is the highest is selected. Two candidates are compared only on tiles that have a
     /// correlation under both transforms. (In a repeating facade, a shift that is wrong by one period may have more
     /// evidence, only because it leaves more tiles inside the frame.)
-    ///
-    /// `alike` says whether two candidates are estimates of the same transform; these are not compared.
-    pub(super) fn winner(&self, alike: impl Fn(&Candidate, &Candidate) -> bool) -> Option<(usize, &Candidate)> {
+    pub(super) fn winner(&self) -> Option<(usize, &Candidate)> {
         let (target, best) = self.best()?;
         let contenders = self.alternatives(target, best, |_| true);
-        let worst_lead = |c: &Candidate| {
-            let others = contenders.iter().filter(|o| !alike(o, c));
-            others.map(|o| c.tiles.distinction_from(&o.tiles)).fold(f64::INFINITY, f64::min)
-        };
+        let worst_lead =
+            |c: &Candidate| contenders.iter().map(|o| c.tiles.distinction_from(&o.tiles)).fold(f64::INFINITY, f64::min);
         if worst_lead(best) >= -DECISIVE_NATS {
             return Some((target, best));
         }
@@ -97,10 +95,15 @@ impl Candidates {
     }
 }
 
-/// The reason why a frame is rejected whose best candidate is `candidate`, in words.
+/// The reason why a frame is rejected whose best candidate is `candidate`, in words. If the candidate by itself is good
+/// enough, others are as good.
 pub(super) fn rejection_reason(candidate: Option<&Candidate>) -> String {
     match candidate {
         None => "it has too little in common with the reference to estimate its motion".into(),
+        Some(c) if is_acceptable(c) => {
+            "it matches the reference about equally well at several positions, for example because the scene repeats"
+                .into()
+        }
         Some(c) if c.agreement().agreeing + c.agreement().disagreeing < EXPLAINING_TILES => {
             "too few parts of the frame can be compared with the reference to estimate its motion, for example because \
              most are black, clipped or uniform"
@@ -137,6 +140,7 @@ pub(super) fn rejected(reason: String, confidence: f64) -> Placement {
 mod tests {
     use super::*;
     use crate::align::agreement::{Agreement, TileCheck};
+    use crate::align::ladder::thresholds::TOLERANCE_PX;
     use crate::align::result::Status;
     use crate::align::scene::shift;
     use std::sync::Arc;
@@ -155,7 +159,7 @@ mod tests {
             excess_px: 0.0,
             by_tiles: false,
             reliability: 1.0,
-            tolerance_px: 1.5,
+            tolerance_px: TOLERANCE_PX,
             corroborated: false,
         }
     }
@@ -208,6 +212,19 @@ mod tests {
     }
 
     #[test]
+    fn candidate_that_is_precise_where_it_has_detail_is_accepted_without_confidence() {
+        // The error is large because few tiles agree, in a small part of the picture.
+        let with = |agreeing, disagreeing, offset| {
+            let mut found = Candidate { noise_px: 2.0, ..candidate(3.0, agreeing, disagreeing) };
+            Arc::make_mut(&mut found.tiles).agreement.offset = offset;
+            found
+        };
+        assert!(is_acceptable(&with(12, 0, 0.1)) && with(12, 0, 0.1).confidence() < ACCEPTED_CONFIDENCE);
+        // The tiles are displaced; there are too few of them; some disagree.
+        assert!([with(12, 0, 0.6), with(11, 0, 0.1), with(12, 2, 0.1)].iter().all(|c| !is_acceptable(c)));
+    }
+
+    #[test]
     fn features_that_find_the_best_candidate_again_raise_its_confidence_alone() {
         let mut all = candidates([(0, candidate(3.0, 6, 4)), (0, candidate(40.0, 3, 5))]);
         let before = all.best().map(|(_, best)| best.confidence());
@@ -221,7 +238,7 @@ mod tests {
     #[test]
     fn equal_evidence_is_won_by_the_candidate_found_first_and_is_not_unique() {
         let all = candidates([(0, candidate(3.0, 30, 0)), (0, candidate(40.0, 30, 0))]);
-        let (target, winner) = all.winner(alike).unwrap();
+        let (target, winner) = all.winner().unwrap();
         assert_eq!((target, winner.transform), (0, shift(3.0, 0.0)));
         // All tiles match equally well under both transforms.
         assert_eq!(all.uniqueness((target, winner), |c| !alike(c, winner)), 0.0);
@@ -230,7 +247,7 @@ mod tests {
     #[test]
     fn candidate_without_a_comparable_alternative_is_unique() {
         let all = candidates([(0, candidate(3.0, 30, 0)), (0, candidate(40.0, 8, 0)), (1, candidate(80.0, 30, 0))]);
-        let (target, winner) = all.winner(alike).unwrap();
+        let (target, winner) = all.winner().unwrap();
         assert_eq!(winner.transform, shift(3.0, 0.0));
         assert_eq!(all.uniqueness((target, winner), |c| !alike(c, winner)), 1.0);
     }
@@ -246,26 +263,42 @@ mod tests {
         };
         let all = candidates([(0, weak(40.0, 30, 0.7)), (0, weak(3.0, 24, 0.95))]);
         assert_eq!(all.best().unwrap().1.transform, shift(40.0, 0.0));
-        let (target, winner) = all.winner(alike).unwrap();
+        let (target, winner) = all.winner().unwrap();
         assert_eq!(winner.transform, shift(3.0, 0.0));
         assert!(all.uniqueness((target, winner), |c| !alike(c, winner)) > 0.5);
+    }
+
+    /// Two estimates of the same motion. The second is stated as less precise, but its tiles match better.
+    #[test]
+    fn better_estimate_of_the_same_transform_wins() {
+        let mut better = Candidate { noise_px: 1.0, ..candidate(3.4, 30, 0) };
+        Arc::make_mut(&mut better.tiles).correlations = vec![Some(0.98); 30];
+        let mut all = candidates([(0, candidate(3.0, 30, 0)), (0, better)]);
+        assert_eq!(all.best().unwrap().1.transform, shift(3.0, 0.0));
+        // The common evidence of the tiles does not count, so a few tiles must match much better.
+        assert_eq!(all.winner().unwrap().1.transform, shift(3.0, 0.0));
+        for correlation in &mut Arc::make_mut(&mut all.0[0].1.tiles).correlations[..5] {
+            *correlation = Some(0.5);
+        }
+        assert_eq!(all.winner().unwrap().1.transform, shift(3.4, 0.0));
     }
 
     #[test]
     fn candidate_against_an_unreliable_neighbour_loses_to_one_against_the_reference() {
         let neighbour = Candidate { reliability: 0.3, ..candidate(40.0, 30, 0) };
         let all = candidates([(1, neighbour), (0, candidate(3.0, 14, 2))]);
-        assert_eq!(all.winner(alike).map(|(target, c)| (target, c.transform)), Some((0, shift(3.0, 0.0))));
+        assert_eq!(all.winner().map(|(target, c)| (target, c.transform)), Some((0, shift(3.0, 0.0))));
     }
 
     #[test]
     fn frame_without_any_candidate_is_rejected_with_the_reason() {
         let none = Candidates::default();
-        assert!(none.winner(alike).is_none());
+        assert!(none.winner().is_none());
         let placement = rejected(rejection_reason(None), 0.0);
         assert_eq!((placement.status(), placement.transform(), placement.confidence()), (Status::Rejected, None, 0.0));
         assert!(placement.reason().unwrap().contains("too little in common"));
         assert!(rejection_reason(Some(&candidate(0.0, 2, 3))).contains("too few parts"));
         assert!(rejection_reason(Some(&candidate(0.0, 10, 30))).contains("30 of 40 tiles"));
+        assert!(rejection_reason(Some(&candidate(0.0, 30, 0))).contains("at several positions"));
     }
 }

@@ -8,6 +8,7 @@
 use crate::align::agreement::TileDisplacement;
 use crate::align::agreement::pattern::{Pattern, Peak, Shift, Warped};
 use crate::align::grey::measured_level;
+use crate::align::photometric::CommonExposure;
 use crate::align::refinement::FramePair;
 use crate::align::transform::{map, on_level};
 use nalgebra::Matrix3;
@@ -17,6 +18,9 @@ use std::sync::OnceLock;
 /// Side of a patch, in pixels of its level. In a photograph of 1 megapixel, this is 32 pixels of the full size, and
 /// half of that on the next finer level.
 const SIDE: usize = 16;
+/// Distance of the patches from the border of the picture, in pixels of the level: the match of a patch is measured with
+/// the correlations at the eight shifts around it, and interpolation needs one pixel more.
+const BORDER: usize = 2;
 /// Largest displacement that is searched, as a share of the long side. Depth displaces near objects by up to 2 %; the
 /// rest is for the error of the transform.
 const MOST_DISPLACEMENT: f64 = 0.03;
@@ -29,7 +33,8 @@ const ENOUGH_CORRELATION: f32 = 0.9;
 /// A patch matches only where its correlation is at least this.
 const LEAST_CORRELATION: f32 = 0.5;
 /// At another position than that of the transform, a patch matches only if its correlation is at least this (it then
-/// explains half of the variance of the patch). If a frame is blurred, patterns that are finer than the blur may be
+/// explains half of the variance of the patch). [`LEAST_CORRELATION`] suffices for a patch that stayed at the same
+/// pixels. If a frame is blurred, patterns that are finer than the blur may be
 /// inverted, because the transfer function of a blur has negative lobes (Goodman, Introduction to Fourier Optics, 6.4).
 /// Such a pattern matches half a period away, with a lower correlation.
 const LEAST_DISPLACED_CORRELATION: f32 = 0.7;
@@ -44,7 +49,7 @@ pub(super) struct Match {
 }
 
 impl Match {
-    /// The displacement of the patch; none if it stayed at the same pixels or matches nowhere.
+    /// The displacement of the patch; none if there is none to measure: see [`Found`].
     pub(super) fn displacement(&self) -> Option<TileDisplacement> {
         match self.found {
             Found::Displacement(displacement) => Some(displacement),
@@ -61,7 +66,8 @@ pub(super) enum Found {
     /// The patch stayed at the same pixels, although the transform moves it: it shows dust of the camera or a caption,
     /// not the scene.
     Still,
-    /// The patch matches nowhere.
+    /// The patch matches nowhere, or its match is at the limit of the search or of the frame, where it cannot be
+    /// measured.
     Nothing,
 }
 
@@ -75,7 +81,7 @@ pub(super) struct Matches {
     /// Distance between neighbouring patches, in pixels of the level.
     step: usize,
     /// The matches of all patches, row by row. None where the patch is left out of the chessboard, has too little
-    /// contrast, or is outside the frame.
+    /// contrast or too few usable pixels, or is not completely inside the frame.
     pub(super) all: Vec<Option<Match>>,
 }
 
@@ -141,7 +147,7 @@ impl Matches {
 
     /// The centre of patch `i`, in pixels of the level.
     pub(super) fn centre(&self, i: usize) -> [f64; 2] {
-        [i % self.columns, i / self.columns].map(|at| (at * self.step) as f64 + (SIDE as f64 - 1.0) / 2.0)
+        centre([i % self.columns, i / self.columns].map(|at| BORDER + at * self.step))
     }
 
     /// Returns the matches of the patches of `grid`. Unless `self` is empty, the level of `grid` is finer by one than
@@ -149,53 +155,20 @@ impl Matches {
     /// in pixels of the full size.
     fn finer(&self, pair: &FramePair, h: &Matrix3<f64>, grid: Grid, starts: &[Shift]) -> Self {
         let Grid { level, step, reach, is_chessboard } = grid;
-        let h = &on_level(h, level);
-        let both = pair.level(level);
-        let (width, height) = (both.reference.width(), both.reference.height());
-        let count = |length: usize| (length + step).saturating_sub(SIDE) / step;
-        let (columns, rows) = (count(width), count(height));
-        let warped = Warped::new(&both.frame, h, (width, height), reach);
-        let unmoved = OnceLock::new();
-        let unmoved = || unmoved.get_or_init(|| Warped::new(&both.frame, &Matrix3::identity(), (width, height), 0));
-        let back = h.try_inverse().unwrap_or_else(Matrix3::identity);
+        let search = Search::new(pair.level(level), &on_level(h, level), reach);
+        let count = |length: usize| (length + step).saturating_sub(SIDE + 2 * BORDER) / step;
+        let [columns, rows] = [search.both.reference.width(), search.both.reference.height()].map(count);
         let find = |i: usize| {
-            let (column, row) = (i % columns, i / columns);
-            if is_chessboard && (column + row) % 2 == 1 {
-                return None;
-            }
-            let pattern = Pattern::new(both, column * step, row * step, SIDE)?;
-            let mut correlations = Correlations { pattern: &pattern, warped: &warped, known: Vec::with_capacity(64) };
-            let (best, shift) =
-                correlations.search(self.candidates([column, row].map(|at| at * step)).iter().chain(starts))?;
-            let centre = [column, row].map(|at| (at * step) as f64 + (SIDE as f64 - 1.0) / 2.0);
-            let least = if shift == (0, 0) { LEAST_CORRELATION } else { LEAST_DISPLACED_CORRELATION };
-            let peak = Peak::around(shift, |shift| correlations.at(shift)).filter(|_| best >= least);
-            if shift == (0, 0) && best >= ENOUGH_CORRELATION {
-                return Some(Match {
-                    shift,
-                    found: peak.map_or(Found::Nothing, |p| Found::Displacement(p.about(centre))),
-                });
-            }
-            let is_still = || {
-                let (u, v) = map(&back, centre[0], centre[1]);
-                let away = [u - centre[0], v - centre[1]];
-                let is_here = (away[0] - shift.0 as f64).abs() <= 1.0 && (away[1] - shift.1 as f64).abs() <= 1.0;
-                let moves = away[0] * away[0] + away[1] * away[1] >= LEAST_MOTION * LEAST_MOTION;
-                let still = || pattern.correlation(unmoved(), (0, 0));
-                moves && (is_here && best >= LEAST_CORRELATION || is_better(still(), best))
-            };
-            let found = match peak {
-                _ if is_still() => Found::Still,
-                Some(peak) => Found::Displacement(peak.about(centre)),
-                None => Found::Nothing,
-            };
-            Some(Match { shift, found })
+            let place = [i % columns, i / columns];
+            let is_left_out = is_chessboard && (place[0] + place[1]) % 2 == 1;
+            let first = place.map(|at| BORDER + at * step);
+            if is_left_out { None } else { search.find(first, self.candidates(first).iter().chain(starts)) }
         };
         let all: Vec<Option<Match>> = (0..columns * rows).into_par_iter().map(find).collect();
         Matches { level, columns, rows, step, all }
     }
 
-    /// Returns the number of patches with enough contrast that match nowhere.
+    /// Returns the number of patches with enough contrast and usable pixels that have no match ([`Found::Nothing`]).
     pub(super) fn unmatched(&self) -> usize {
         self.all.iter().flatten().filter(|m| matches!(m.found, Found::Nothing)).count()
     }
@@ -213,7 +186,7 @@ impl Matches {
     /// Returns the shifts from which the search for a patch of the next finer level may start: those of the patches of
     /// this level around it. `first` is the first pixel of the patch. All lengths are in pixels of the finer level.
     fn candidates(&self, first: [usize; 2]) -> Vec<Shift> {
-        let [column, row] = first.map(|at| at / (2 * self.step));
+        let [column, row] = first.map(|at| at.saturating_sub(BORDER) / (2 * self.step));
         let near = |at: usize, count: usize| at.saturating_sub(1)..(at + 2).min(count);
         let around = near(row, self.rows).flat_map(|y| near(column, self.columns).map(move |x| y * self.columns + x));
         let mut shifts: Vec<Shift> =
@@ -221,6 +194,63 @@ impl Matches {
         shifts.sort_unstable();
         shifts.dedup();
         shifts
+    }
+}
+
+/// The centre of the patch whose first pixel is `first`, in pixels of the level.
+fn centre(first: [usize; 2]) -> [f64; 2] {
+    first.map(|at| at as f64 + (SIDE as f64 - 1.0) / 2.0)
+}
+
+/// The planes of a level on which patches are matched.
+struct Search<'a> {
+    both: &'a CommonExposure,
+    /// The frame, warped by the transform.
+    warped: Warped,
+    /// The frame at the pixels where it was taken, made on first use.
+    unmoved: OnceLock<Warped>,
+    /// The inverse of the transform, in pixels of the level.
+    back: Matrix3<f64>,
+}
+
+impl<'a> Search<'a> {
+    /// `h` is in pixels of the level.
+    fn new(both: &'a CommonExposure, h: &Matrix3<f64>, reach: usize) -> Self {
+        let warped = Warped::new(&both.frame, h, (both.reference.width(), both.reference.height()), reach);
+        Search { both, warped, unmoved: OnceLock::new(), back: h.try_inverse().unwrap_or_else(Matrix3::identity) }
+    }
+
+    /// Returns the match of the patch whose first pixel is `first`; none if the patch has too little contrast, too few
+    /// usable pixels, or is not completely inside the frame. `candidates` are shifts from which the search may start.
+    fn find<'c>(&self, first: [usize; 2], candidates: impl Iterator<Item = &'c Shift>) -> Option<Match> {
+        let pattern = Pattern::new(self.both, first[0], first[1], SIDE)?;
+        let mut correlations = Correlations { pattern: &pattern, warped: &self.warped, known: Vec::with_capacity(64) };
+        let (best, shift) = correlations.search(candidates)?;
+        let centre = centre(first);
+        let least = if shift == (0, 0) { LEAST_CORRELATION } else { LEAST_DISPLACED_CORRELATION };
+        let peak = Peak::around(shift, |shift| correlations.at(shift)).filter(|_| best >= least);
+        let is_here = shift == (0, 0) && best >= ENOUGH_CORRELATION;
+        let found = match peak {
+            _ if !is_here && self.is_still(&pattern, centre, (best, shift)) => Found::Still,
+            Some(peak) => Found::Displacement(peak.about(centre)),
+            None => Found::Nothing,
+        };
+        Some(Match { shift, found })
+    }
+
+    /// Whether the patch with this centre stayed at the same pixels, although the transform moves it. `best` and `shift`
+    /// are the correlation and the shift of its match.
+    fn is_still(&self, pattern: &Pattern, centre: [f64; 2], (best, shift): (f32, Shift)) -> bool {
+        let (u, v) = map(&self.back, centre[0], centre[1]);
+        let away = [u - centre[0], v - centre[1]];
+        if away[0] * away[0] + away[1] * away[1] < LEAST_MOTION * LEAST_MOTION {
+            return false;
+        }
+        let is_here = (away[0] - shift.0 as f64).abs() <= 1.0 && (away[1] - shift.1 as f64).abs() <= 1.0;
+        let size = (self.both.reference.width(), self.both.reference.height());
+        let unmoved = || Warped::new(&self.both.frame, &Matrix3::identity(), size, 0);
+        let still = || pattern.correlation(self.unmoved.get_or_init(unmoved), (0, 0));
+        (is_here && best >= LEAST_CORRELATION) || is_better(still(), best)
     }
 }
 

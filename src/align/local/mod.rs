@@ -3,7 +3,7 @@
 //! In: two frames and a transform. Out: the displacement of each cell of the picture from the position that the
 //! transform gives ([`LocalField`]), and the share of the cells that are displaced ([`Misfit`](field::Misfit)). Cost,
 //! on the level on which agreement is measured: every second patch is matched, with nine correlations of three
-//! multiply-adds per pixel. If more than a hundredth of the patches seem displaced or match nowhere, there are some
+//! multiply-adds per pixel. If more than a hundredth of the patches seem displaced or have no match, there are some
 //! hundred more correlations for every pixel. If the frame moved and many cells are displaced, there are some ten more
 //! for every pixel of the next finer level.
 //!

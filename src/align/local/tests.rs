@@ -32,8 +32,9 @@ fn share_and_displacement_of_a_near_object_are_measured() {
     for moved in [4.0, 12.0] {
         let found = misfit(480.0, moved, 1.5, &truth);
         // A quarter of the picture moves. A patch within 24 of the 640 columns from the border between the moving and
-        // the still part may count as either, which explains the tolerance.
-        assert!((found.displaced.fraction - 0.25).abs() < 0.06, "{moved}: {found:?}");
+        // the still part may count as either, and up to 25 columns at the right border of the reference are outside the
+        // frame, or their patches are. This explains the range.
+        assert!((0.25 - 0.07..0.25 + 0.06).contains(&found.displaced.fraction), "{moved}: {found:?}");
         assert!((found.displaced.px - moved).abs() < 0.3, "{moved}: {found:?}");
         let rms = moved * found.displaced.fraction.sqrt();
         assert!((found.rms_px - rms).abs() < 0.1 * rms, "{moved}: {found:?}");
@@ -146,7 +147,7 @@ fn coarse_to_fine_finds_what_a_full_search_finds() {
     let (mut same, mut all) = (0, 0);
     // Every seventh patch is compared, except near the borders, where shifts lead outside the frame.
     for i in (0..found.all.len()).step_by(7) {
-        let (x, y) = (i % found.columns * 8, i / found.columns * 8);
+        let [x, y] = found.centre(i).map(|at| (at - 7.5) as usize);
         let is_inner = x > 32 && y > 32 && x + 48 < SIZE.0 && y + 48 < SIZE.1;
         let Some(displacement) = found.all[i].and_then(|m| m.displacement()).filter(|_| is_inner) else { continue };
         let Some(pattern) = Pattern::new(both, x, y, 16) else { continue };

@@ -31,6 +31,10 @@ const MOST_STEPS: usize = 12;
 /// The iteration on a level ends after a step that moves every corner by less than this, in pixels of the level: (on
 /// the last level, on the other levels).
 const STILL: (f64, f64) = (0.005, 0.05);
+/// If the steps on a level move a corner by more than this in total, in pixels of the level, they diverge: the levels are
+/// smoothed with a standard deviation of one pixel, so a pixel does not show what is farther away. In a pattern that
+/// repeats, the steps may end at any period.
+const MOST_MOVE: f64 = 16.0;
 /// With fewer points than this, nothing is solved.
 const LEAST_POINTS: usize = 50;
 /// The actual error, divided by the error that would result if the noise of all pixels were independent. In fact,
@@ -140,7 +144,8 @@ impl<'a> Stage<'a> {
     ) -> Option<(Matrix3<f64>, Option<f64>)> {
         let (width, height) = self.size;
         let still = if self.is_last { STILL.0 } else { STILL.1 };
-        let mut h = on_level(&h_full, self.level);
+        let start = on_level(&h_full, self.level);
+        let mut h = start;
         let basis = Increment::new(model, width, height);
         let rows: Vec<[f64; 8]> = self.points.iter().map(|p| basis.row(p.x, p.y, p.gradient)).collect();
         let mut left = vec![0.0f32; self.points.len()];
@@ -156,12 +161,12 @@ impl<'a> Stage<'a> {
             let step = basis.solve(a.clone(), b)?;
             h *= basis.matrix(&step);
             h /= h[(2, 2)];
-            let moved = basis.largest_move(&step);
-            if !moved.is_finite() || moved > width as f64 {
+            let away = Transform::Homography(h).corner_distance(&Transform::Homography(start), width, height);
+            if away > MOST_MOVE || h.iter().any(|v| !v.is_finite()) {
                 return None;
             }
             found = Some(a - data);
-            if moved < still {
+            if basis.largest_move(&step) < still {
                 break;
             }
         }

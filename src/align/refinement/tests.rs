@@ -127,3 +127,17 @@ fn the_error_it_states_is_of_the_right_order() {
     let ratio = f64::sqrt(actual / stated);
     assert!((0.67..1.4).contains(&ratio), "{ratio}: {} against {}", (actual / 20.0).sqrt(), (stated / 20.0f64).sqrt());
 }
+
+/// In a soft scene the steps could lead farther than the pixels of a level can show.
+#[test]
+fn steps_that_lead_far_away_give_no_result() {
+    let wave = |v: f64| (v * std::f64::consts::TAU / 200.0).sin();
+    let soft = |x: f64, y: f64| 1.0 + 0.8 * wave(x) * wave(y);
+    let take = |transform: &Transform| GreyPyramid::new(photograph(SIZE, transform, Shot::at(0.0), soft));
+    let reference = take(&Transform::Identity);
+    for (moved, is_found) in [(0.8 * MOST_MOVE, true), (1.2 * MOST_MOVE, false)] {
+        let frame = take(&shift(moved, 0.0));
+        let found = found(&reference, &frame, &Transform::Identity, Model::Shift, 0);
+        assert_eq!(found.is_some(), is_found, "{moved}: {found:?}");
+    }
+}
