@@ -18,18 +18,18 @@ const PAGE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/docs/reference/licences
 const BEGIN: &str = "\
 # The crates in the program, and their licences
 
-This page lists the crates that `cargo build --release --locked` compiles for `hdralign` on 64-bit Linux, including
-build scripts and procedural macros. The program also contains
+This page lists the crates that `cargo build --release --locked` compiles for `hdralign` on 64-bit
+Linux, including build scripts and procedural macros. The program also contains
 
 - the standard library of Rust (MIT or Apache-2.0),
 - the library musl (MIT), only in the static binary,
-- a part of the font DejaVu Sans Condensed 2.37, for the text of drawings. Its licence (Bitstream Vera) is in
-  [src/draw/font/README.md](../../src/draw/font/README.md).
+- a part of the font DejaVu Sans Condensed 2.37, for the text of drawings. Its licence (Bitstream
+  Vera) is in [src/draw/font/README.md](../../src/draw/font/README.md).
 
 hdralign itself is licensed under MIT or Apache-2.0.
 
-The test `cargo test --test library licences` fails if this page is out of date, or if a licence is not one of those in
-deny.toml. With `HDRALIGN_BLESS=1` it writes this page again.
+The test `cargo test --test library licences` fails if this page is out of date, or if a licence is
+not one of those in deny.toml. With `HDRALIGN_BLESS=1` it writes this page again.
 
 | crate | version | licence |
 |---|---|---|
