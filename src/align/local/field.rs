@@ -34,9 +34,9 @@ const LEAST_CELLS: usize = 16;
 /// visible from 2 px on; the value is less, because a cell at an edge of depth measures the mean of two displacements.
 const DISPLACED_PX: f64 = 1.5;
 
-/// If less than this share of the cells is displaced, the displaced cells count as 0 in the root mean square. Such a
-/// small part of the picture is more likely a thing that moved than an effect of depth. If clearly more are displaced,
-/// the mode `auto` uses a finer level for a frame that moved, if there is one.
+/// Unless clearly more than this share of the cells are displaced, the displaced cells count as 0 in the root mean
+/// square. Such a small part of the picture is more likely a thing that moved, or a wrong match, than an effect of depth.
+/// If clearly more are displaced, the mode `auto` also uses a finer level for a frame that moved, if there is one.
 const LEAST_DISPLACED: f64 = 0.01;
 /// The dominant motion is searched only if the root mean square displacement is at least this, in pixels of the full
 /// size.
@@ -73,8 +73,8 @@ pub(crate) struct Misfit {
     /// large if few cells are known, as in a dark frame.
     pub(crate) displaced_surely: f64,
     /// Root mean square displacement over the picture, minus the part that is due to [`PEAK_BIAS`]. Each cell counts
-    /// with the area that it stands for. Displacements that are not significant count as 0. If the share of the
-    /// displaced cells is less than [`LEAST_DISPLACED`], these count as 0, too.
+    /// with the area that it stands for. Displacements that are not significant count as 0. If `displaced_surely` is less
+    /// than [`LEAST_DISPLACED`], the displaced cells count as 0, too.
     pub(crate) rms_px: f64,
 }
 
@@ -162,15 +162,16 @@ impl LocalField {
         let still = if still as f64 <= MOST_STILL * (self.cells.len() + still) as f64 { 0 } else { still };
         let all = (self.cells.len() + still) as f64;
         let fraction = (displaced.len() + still) as f64 / all;
-        let most_px = if fraction < LEAST_DISPLACED { DISPLACED_PX } else { f64::INFINITY };
+        let independent = (all / self.matches.overlap().pow(2) as f64).max(1.0);
+        let displaced_surely = (fraction - (fraction * (1.0 - fraction) / independent).sqrt()).max(0.0);
+        let most_px = if displaced_surely < LEAST_DISPLACED { DISPLACED_PX } else { f64::INFINITY };
         let counting = self.lengths_px().filter(|&(px, _)| px < most_px);
         // The mean area of a cell is 1.
         let squares = counting.map(|(px, area)| area * px * px).sum::<f64>();
         let bias_px = self.scale() * PEAK_BIAS;
-        let independent = (all / self.matches.overlap().pow(2) as f64).max(1.0);
         Misfit {
             rms_px: (squares / all - bias_px * bias_px).max(0.0).sqrt(),
-            displaced_surely: (fraction - (fraction * (1.0 - fraction) / independent).sqrt()).max(0.0),
+            displaced_surely,
             displaced: Displaced { fraction, px: median(displaced).unwrap_or(0.0) },
         }
     }
