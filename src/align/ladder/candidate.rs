@@ -7,8 +7,8 @@ use crate::align::agreement;
 use crate::align::agreement::{Agreement, TileCheck, TileFit, check_tiles};
 use crate::align::grey::measured_level;
 use crate::align::ladder::thresholds::{
-    CORROBORATED_CONFIDENCE, HARDLY_DISPLACED, SETTLED_AGREEING, SETTLED_DECIDED_PER_DISAGREEING, SETTLED_ERROR_PX,
-    TILE_NOISE_PX, TOLERANCE_PX,
+    CORROBORATED_CONFIDENCE, SETTLED_AGREEING, SETTLED_DECIDED_PER_DISAGREEING, SETTLED_ERROR_PX, TILE_NOISE_PX,
+    TOLERANCE_PX,
 };
 use crate::align::refinement::FramePair;
 use crate::align::transform::{Transform, level_to_full, on_level};
@@ -31,9 +31,10 @@ pub(crate) struct Candidate {
     /// distance of the fitted transform from `transform` ([`TileFit::moved`]), and e the least error of the fit
     /// ([`TileFit::least_error`]). With fewer tiles, it is the median displacement of the agreeing tiles minus
     /// [`TILE_NOISE_PX`]. If `reduce` replaces the transform by one that tiles cannot distinguish from it, this value
-    /// is kept. If `reduce` chooses a shift or a rigid transform, it may raise this value, and if it sets the frame to
-    /// unmoved, limit it.
+    /// is kept. But `reduce` may raise it for a shift or a rigid transform, and limits it for an unmoved frame.
     pub(crate) tiles_px: f64,
+    /// The median displacement of the agreeing tiles, in pixels of the full size.
+    pub(crate) offset_px: f64,
     /// The part of the displacement of the tiles that its expected error does not explain.
     pub(crate) excess_px: f64,
     /// Whether the transform was fitted to the displacements of the tiles.
@@ -72,11 +73,11 @@ impl Candidate {
         self.most_px() < self.tolerance_px
     }
 
-    /// Whether the error is small enough to merge the frame where it has detail: many tiles agree, and they are hardly
-    /// displaced. The error over the whole picture may be large if most of the frame is clipped; but there the frame
-    /// has no weight in the merge.
+    /// Whether the error is small enough to merge the frame where it has detail: enough tiles agree, and they are hardly
+    /// displaced. The error over the whole picture may be large if most of the frame is clipped or uniform; but there a
+    /// displacement does little harm.
     pub(super) fn is_precise_at_tiles(&self) -> bool {
-        self.agreement().agreeing >= SETTLED_AGREEING && self.agreement().offset < HARDLY_DISPLACED
+        self.agreement().agreeing >= SETTLED_AGREEING && self.offset_px < self.tolerance_px
     }
 
     /// The confidence, 0..=1: the agreement of the tiles, reduced by the error estimate.
@@ -131,11 +132,13 @@ pub(super) fn evaluate_with_fit(pair: &FramePair, transform: Transform, noise_px
             (offset, offset)
         }
     };
+    let offset = tiles.agreement.offset;
     let candidate = Candidate {
         transform,
         tiles: Arc::new(tiles),
         noise_px,
         tiles_px,
+        offset_px: scale * offset,
         excess_px,
         reliability: 1.0,
         tolerance_px,

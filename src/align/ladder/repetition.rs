@@ -2,7 +2,7 @@
 //!
 //! In: the grey pyramids of a bracket. Out: the periods of the scene, and for a transform the shifted ones, from which
 //! further candidates are refined. Cost: that of [`periods`] for the reference; if the reference is dark, also for each
-//! brighter frame.
+//! frame with more exposure whose placement is not preset.
 
 use crate::align::agreement::periods;
 use crate::align::grey::GreyPyramid;

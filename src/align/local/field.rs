@@ -36,7 +36,7 @@ const DISPLACED_PX: f64 = 1.5;
 
 /// Unless clearly more than this share of the cells are displaced, the displaced cells count as 0 in the root mean
 /// square. Such a small part of the picture is more likely a thing that moved, or a wrong match, than an effect of depth.
-/// If clearly more are displaced, the mode `auto` also uses a finer level for a frame that moved, if there is one.
+/// If clearly more are displaced, the mode `auto` uses a finer level for a frame that moved, if there is one.
 const LEAST_DISPLACED: f64 = 0.01;
 /// The dominant motion is searched only if the root mean square displacement is at least this, in pixels of the full
 /// size.
