@@ -120,6 +120,7 @@ pub(super) fn evaluate_with_fit(pair: &FramePair, transform: Transform, noise_px
     let fit = agreement::fit(&tiles, &h, (both.reference.width(), both.reference.height()));
     let tolerance_px = tolerance_px((width, height));
     let scale = level_to_full(level)[(0, 0)];
+    let offset_px = scale * tiles.agreement.offset;
     let (tiles_px, excess_px) = match &fit {
         Some(fit) => {
             let (moved, error) = (scale * fit.moved, scale * fit.error);
@@ -128,17 +129,16 @@ pub(super) fn evaluate_with_fit(pair: &FramePair, transform: Transform, noise_px
             (tiles_px, excess(moved, (noise_px * noise_px + error * error).sqrt()))
         }
         None => {
-            let offset = scale * (tiles.agreement.offset - TILE_NOISE_PX).max(0.0);
-            (offset, offset)
+            let displacement = (offset_px - scale * TILE_NOISE_PX).max(0.0);
+            (displacement, displacement)
         }
     };
-    let offset = tiles.agreement.offset;
     let candidate = Candidate {
         transform,
         tiles: Arc::new(tiles),
         noise_px,
         tiles_px,
-        offset_px: scale * offset,
+        offset_px,
         excess_px,
         reliability: 1.0,
         tolerance_px,

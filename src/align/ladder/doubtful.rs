@@ -111,14 +111,14 @@ impl Search<'_> {
         };
         let is_other = |c: &Candidate| distance(&c.transform, &best.transform, width, height) > SAME_APART * near;
         let uniqueness = candidates.uniqueness((b, best), is_other);
-        let unique = Candidate { reliability: best.reliability * uniqueness, ..best.clone() };
+        let reliability = best.reliability * uniqueness;
+        let unique = Candidate { reliability, ..best.clone() };
         if !is_acceptable(&unique) {
             return (rejected(rejection_reason(Some(best)), unique.confidence()), found);
         }
-        let best = unique;
-        let reduced = reduce(&targets[b].compare(frame, &best.transform), best.clone());
+        let reduced = reduce(&targets[b].compare(frame, &best.transform), unique);
         let noise_px = reduced.noise_px.max(targets[b].error_px);
-        let reduced = Candidate { reliability: best.reliability, noise_px, ..reduced };
+        let reduced = Candidate { reliability, noise_px, ..reduced };
         (Placement::Placed(estimate(&reduced)), found)
     }
 

@@ -6,7 +6,7 @@
 //! A frame is aligned to the reference by bitmaps (`starts`). The transform is refined and then checked (`candidate`).
 //! If the check leaves doubt, further candidates are found (`doubtful`): by alignment to the neighbour in exposure that
 //! is already aligned, by features, from the other minima of the bitmap search, and, if the scene repeats, by shifting
-//! the best candidate by one period (`repetition`). `selection` chooses among the candidates. `reduction` chooses the
+//! the best candidate by a period (`repetition`). `selection` chooses among the candidates. `reduction` chooses the
 //! smallest model that suffices. The transform of a frame with too little detail is inferred from the other frames
 //! (`inferred`, `camera_track`). Finally, `local_check` measures how much of the picture the transform does not fit. If
 //! the transform is a compromise between several motions, `local_check` replaces it by the homography of the dominant

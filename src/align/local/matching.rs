@@ -155,7 +155,7 @@ impl Matches {
     /// in pixels of the full size.
     fn finer(&self, pair: &FramePair, h: &Matrix3<f64>, grid: Grid, starts: &[Shift]) -> Self {
         let Grid { level, step, reach, is_chessboard } = grid;
-        let search = Search::new(pair.level(level), &on_level(h, level), reach);
+        let search = PatchSearch::new(pair.level(level), &on_level(h, level), reach);
         let count = |length: usize| (length + step).saturating_sub(SIDE + 2 * BORDER) / step;
         let [columns, rows] = [search.both.reference.width(), search.both.reference.height()].map(count);
         let find = |i: usize| {
@@ -203,7 +203,7 @@ fn centre(first: [usize; 2]) -> [f64; 2] {
 }
 
 /// The planes of a level on which patches are matched.
-struct Search<'a> {
+struct PatchSearch<'a> {
     both: &'a CommonExposure,
     /// The frame, warped by the transform.
     warped: Warped,
@@ -213,11 +213,11 @@ struct Search<'a> {
     back: Matrix3<f64>,
 }
 
-impl<'a> Search<'a> {
+impl<'a> PatchSearch<'a> {
     /// `h` is in pixels of the level.
     fn new(both: &'a CommonExposure, h: &Matrix3<f64>, reach: usize) -> Self {
         let warped = Warped::new(&both.frame, h, (both.reference.width(), both.reference.height()), reach);
-        Search { both, warped, unmoved: OnceLock::new(), back: h.try_inverse().unwrap_or_else(Matrix3::identity) }
+        PatchSearch { both, warped, unmoved: OnceLock::new(), back: h.try_inverse().unwrap_or_else(Matrix3::identity) }
     }
 
     /// Returns the match of the patch whose first pixel is `first`; none if the patch has too little contrast, too few

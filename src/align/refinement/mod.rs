@@ -33,7 +33,7 @@ const MOST_STEPS: usize = 12;
 const STILL: (f64, f64) = (0.005, 0.05);
 /// If the steps on a level move a corner by more than this in total, in pixels of the level, they diverge: the levels are
 /// smoothed with a standard deviation of one pixel, so a pixel does not show what is farther away. In a pattern that
-/// repeats, the steps may end at any period.
+/// repeats, the steps may end at any period. Chosen on rendered brackets: no right result was lost.
 const MOST_MOVE: f64 = 16.0;
 /// With fewer points than this, nothing is solved.
 const LEAST_POINTS: usize = 50;
@@ -162,6 +162,7 @@ impl<'a> Stage<'a> {
             h *= basis.matrix(&step);
             h /= h[(2, 2)];
             let away = Transform::Homography(h).corner_distance(&Transform::Homography(start), width, height);
+            // The distance of a corner that is not a number counts as 0.
             if away > MOST_MOVE || h.iter().any(|v| !v.is_finite()) {
                 return None;
             }
