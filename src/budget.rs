@@ -56,8 +56,8 @@ const FUSION_3: u64 = 12 + 16 + 36 + 48;
 /// Three times the bytes per pixel of the pyramid of one channel (16 / 3). Up to three of these pyramids are computed
 /// in parallel.
 const CHANNEL_3: u64 = 16;
-/// Bytes per drawing of `inspect`. A drawing has at most 1600 x 1600 pixels, with four bytes per pixel to draw, three
-/// for the file, and the PNG.
+/// Bytes per drawing of `inspect`. The pictures in a drawing have at most 1600 x 1600 pixels, and its margins and text
+/// few. There are four bytes per pixel to draw, three for the file, and the PNG.
 const SHEET: u64 = 24 << 20;
 /// Largest number of drawings that are computed at a time, one per thread. It is the number of drawings of one frame.
 const SHEETS: u64 = 6;
@@ -112,7 +112,7 @@ impl Demand {
         THREAD + COLUMN * self.size.0 as u64
     }
 
-    /// Upper bound of the bytes that each additional thread takes if frames of this `size` are in memory.
+    /// Upper bound of the bytes that each additional thread takes if the frames of this `size` are merged.
     pub fn another_thread(size: (usize, usize)) -> u64 {
         let stages = Stages { features: true, ..Stages::default() };
         let one = Demand { stages, frames: 1, size, frame: 0, decoding: 0 };

@@ -1,7 +1,8 @@
 //! Reading of complete files into memory.
 //!
 //! In: a path, and the largest size. Out: all bytes of the file at one moment. It is an error if the file is written,
-//! truncated or replaced while it is read. Cost: one read. Pipes are read to their end or to the largest size.
+//! or truncated while it is read. (If another file gets its name meanwhile, the old file is read.) Cost: one read.
+//! Pipes are read to their end or to the largest size.
 
 use crate::error::{Error, Result};
 use std::fs::{File, Metadata};
@@ -9,11 +10,11 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-/// Largest size of response files, files of transforms and reports, in bytes. Those that hdralign writes are smaller
-/// than one megabyte.
+/// Largest size of response files, files of transforms and reports, in bytes. Those that hdralign writes have
+/// about 2 kB per photograph.
 pub(crate) const MOST_OF_A_TEXT: u64 = 64 << 20;
 
-/// Largest size of a plan of batch jobs, in bytes. One job takes about 2 kB.
+/// Largest size of a plan of batch jobs, in bytes. One job takes about 1 kB.
 pub(crate) const MOST_OF_A_PLAN: u64 = 1 << 30;
 
 /// Reads all bytes of the file `path`, at most `most`.

@@ -31,7 +31,8 @@ impl Limits {
     /// not even by shifting the sensor (400 million).
     pub const MAX_PIXELS: u64 = 500_000_000;
 
-    /// Largest number of bytes per pixel in the supported input formats: four floats.
+    /// Largest number of bytes per pixel in common files of the supported formats: four floats. Files with more bytes
+    /// per pixel may have fewer pixels.
     const BYTES_PER_PIXEL: u64 = 16;
 
     /// Checks that an image has pixels, and not more than allowed.

@@ -1,7 +1,7 @@
 //! One job: merge a bracket or recover a response, completely or not at all, and only if it is not done yet.
 //!
 //! In: a [`Job`] and its options. Out: the result files, and a [`Brief`] (an extract) of the report. Cost:
-//! `pipeline::prepare`, and reading inputs and outputs once for their hashes.
+//! `pipeline::prepare`, and reading inputs and outputs once for their hashes, and replaced outputs twice.
 //!
 //! Any process may start a job again at any time: complete results are kept, and an interrupted job is run again.
 //! Without `--force`, a job replaces only its own earlier results. If two processes run the same job at the same

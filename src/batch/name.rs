@@ -164,7 +164,8 @@ impl Values {
     }
 }
 
-/// Replaces every character of `text` by `_` if it has a meaning for shells, job systems or file systems.
+/// Replaces every character of `text` but ASCII letters, digits, `-` and `.` by `_`: others may have a meaning for
+/// shells, job systems or file systems.
 pub fn plain(text: &str) -> String {
     let letter = |c: char| if c.is_ascii_alphanumeric() || matches!(c, '-' | '.') { c } else { '_' };
     let plain: String = text.chars().map(letter).collect();

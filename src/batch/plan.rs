@@ -4,8 +4,8 @@
 //! In: the brackets that were found, and settings for the results. Out: [`Job`]s, each of which can be written as a
 //! line of JSON. Cost: negligible.
 //!
-//! The line of a job contains everything that affects its results. To run the job, a machine needs this line and the
-//! input files. Paths are absolute.
+//! The line of a job contains everything that affects its results. To run the job, a machine needs this line, the
+//! input files and, if the job uses one, the response file. Paths are absolute.
 
 mod names;
 
@@ -154,7 +154,8 @@ pub enum Responses {
 /// Settings for the results of all brackets.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Settings {
-    /// The folder for the results; `None` to write them into the folder of the photographs.
+    /// The folder for the results; `None` to write them into the folder of the photographs (with another
+    /// template than the default, below the searched folder).
     pub output: Option<PathBuf>,
     /// The template for the names of results.
     pub template: Template,
@@ -177,7 +178,8 @@ pub struct Settings {
 }
 
 /// Returns the jobs for `brackets`; the jobs that recover a response come first. Ids and file names are unique. They
-/// do not depend on the order of `brackets`, unless two jobs would have the same name.
+/// depend on the order of `brackets` only if two jobs would have the same name, if the pattern of the names has the
+/// number, or if there are several folders to search and no output folder (then some files go below the first).
 ///
 /// # Errors
 /// [`Error::Option`] if a path cannot be made absolute.

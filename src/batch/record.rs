@@ -109,15 +109,21 @@ impl Record {
         Some(serde_json::from_slice::<Report>(&text).ok()?.job)
     }
 
-    /// Returns whether all files `outputs` are complete results of this run. A file is complete if it has the length
-    /// in this record; its content need not be checked, because only complete files get their final names. A file
-    /// with another length is accepted if neither this run nor an earlier one wrote it: then the user changed it, and
-    /// it belongs to the user.
+    /// Returns whether all files `outputs` are results of this run. If this run replaced no earlier results, a file
+    /// with the length in this record is one; its content need not be checked, because only complete files get their
+    /// final names. Otherwise the contents are compared by hash: the file may still be that of the earlier run. A file
+    /// that neither this run nor an earlier one wrote is accepted: the user changed it, and it belongs to the user.
     pub fn is_whole(&self, outputs: &[PathBuf]) -> bool {
+        let is_current = |path: &Path, content: &Content| {
+            let found = Content::of(path);
+            found.is_ok_and(|found| found.sha256 == content.sha256 || !self.wrote(&found.sha256))
+        };
         let is_there = |path: &PathBuf| {
             let Some(content) = self.outputs.iter().find(|content| content.name == name(path)) else { return false };
             let there = fs::metadata(path).ok().filter(fs::Metadata::is_file);
-            there.is_some_and(|there| there.len() == content.bytes || self.made(path).is_ok_and(|is_ours| !is_ours))
+            there.is_some_and(|there| {
+                there.len() == content.bytes && self.replaced.is_empty() || is_current(path, content)
+            })
         };
         outputs.iter().all(is_there)
     }
@@ -133,8 +139,11 @@ impl Record {
     /// # Errors
     /// [`Error::Read`].
     pub fn made(&self, path: &Path) -> Result<bool> {
-        let found = Content::of(path)?.sha256;
-        Ok(self.outputs.iter().any(|content| content.sha256 == found) || self.replaced.contains(&found))
+        Ok(self.wrote(&Content::of(path)?.sha256))
+    }
+
+    fn wrote(&self, sha256: &str) -> bool {
+        self.outputs.iter().any(|content| content.sha256 == sha256) || self.replaced.iter().any(|known| known == sha256)
     }
 }
 
@@ -182,7 +191,7 @@ mod tests {
     #[test]
     fn the_digest_is_sha_256() {
         let content = Content::read(Path::new("d/abc.txt"), &b"abc"[..]).unwrap();
-        // This is the example in FIPS 180-4.
+        // This is the first example in FIPS 180-2, appendix B.
         assert_eq!(content.sha256, "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
         assert_eq!((content.name.as_str(), content.bytes), ("abc.txt", 3));
     }
@@ -216,7 +225,7 @@ mod tests {
     fn own_results_are_recognised_by_hash() {
         let dir = tempfile::tempdir().unwrap();
         let at = |name: &str| dir.path().join(name);
-        for (name, text) in [("a.exr", "A"), ("old.exr", "old"), ("mine.exr", "m")] {
+        for (name, text) in [("a.exr", "A"), ("old.exr", "o"), ("mine.exr", "m")] {
             std::fs::write(at(name), text).unwrap();
         }
         let outputs = vec![Content::of(&at("a.exr")).unwrap()];
@@ -238,8 +247,8 @@ mod tests {
         assert!(!record.is_of(&[Content::of(&at("old.exr")).unwrap()]));
         std::fs::write(at("a.exr"), "retouched").unwrap();
         assert!(record.is_whole(&[at("a.exr")]), "it is the user's now");
-        std::fs::write(at("a.exr"), "old").unwrap();
-        assert!(!record.is_whole(&[at("a.exr")]), "an earlier run's");
+        std::fs::write(at("a.exr"), "o").unwrap();
+        assert!(!record.is_whole(&[at("a.exr")]), "an earlier run's, of the same length");
         std::fs::remove_file(at("a.exr")).unwrap();
         assert!(!record.is_whole(&[at("a.exr")]));
         std::fs::write(at("a.exr"), "A").unwrap();

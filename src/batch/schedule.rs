@@ -44,7 +44,8 @@ pub enum Ending {
     Unchanged(Brief),
     /// The job failed, with this error message.
     Failed(String),
-    /// The job was not started, because the batch was stopped earlier or the disk for the job's results is full.
+    /// The job was not started, because the batch was stopped earlier, the disk for the job's results is full, or a job
+    /// that it needs was not started.
     NotStarted,
 }
 

@@ -193,7 +193,7 @@ impl Summary {
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }
 
-    /// Returns the summary as CSV (RFC 4180): a header row, then a row for each job.
+    /// Returns the summary as CSV (RFC 4180, but lines end with LF): a header row, then a row for each job.
     pub fn to_csv(&self) -> String {
         let mut writer = csv::Writer::from_writer(Vec::new());
         // Writing to memory does not fail, and all rows have the same length.

@@ -205,7 +205,7 @@ fn is_same(a: Option<&Value>, b: Option<&Value>) -> bool {
     }
 }
 
-/// Largest number of names in a warning.
+/// Number of names in a warning about many parts.
 const NAMED: usize = 8;
 
 /// Returns a warning that the parts `unread` of the file `path` are not compared; `None` if there are no such parts.

@@ -2,7 +2,8 @@
 //!
 //! In: the expected file, the actual file, and [`Options`]. Out: a [`Comparison`] with its outcome, the differences in
 //! stops or in dE, PU21-PSNR and MS-SSIM; and, if requested, a false-colour picture. Cost: reading both files, then
-//! about 0.2 us for each pixel that differs. Sources: CIEDE2000 (Sharma, Wu & Dalal 2005), PU21 (Mantiuk & Azimi 2021),
+//! about 0.2 us for each pixel of a radiance map that differs, and 0.7 us of a picture; and, if any pixel of a picture
+//! differs, 0.1 us for every pixel. Sources: CIEDE2000 (Sharma, Wu & Dalal 2005), PU21 (Mantiuk & Azimi 2021),
 //! MS-SSIM (Wang, Simoncelli & Bovik 2003), each in the file of its name.
 //!
 //! Radiance is compared with radiance, and pictures with pictures. The colours that pixels represent are compared: if
@@ -35,7 +36,7 @@ use std::path::{Path, PathBuf};
 /// Version of the report format: keys may be added, but are never removed.
 pub const SCHEMA: &str = "hdralign-compare/1";
 
-/// Default tolerance for radiance, in stops. It is a third of the rounding error of RGBE in the darkest channels, ten
+/// Default tolerance for radiance, in stops. It is a third of the rounding error of RGBE in the darkest channels, 14
 /// times the rounding error of half floats, and half of the smallest gain worth reporting.
 pub const DEFAULT_STOPS: f64 = 0.01;
 

@@ -5,9 +5,9 @@
 //!
 //! Pictures with more than 1200 pixels on a side are reduced by an integer factor. A pixel of the reduced difference
 //! shows the largest difference in its block, so that single pixels stay visible. Small pictures are enlarged. A
-//! radiance v of either file is shown as v / (v + m), where m is the median of the expected map. Because m is the same
-//! for both files, a gain between them is visible. Where nothing differs, the middle panel shows the expected picture,
-//! dimmed.
+//! radiance v of either file is shown as the square root of v / (v + m), where m is the median of the positive green
+//! values of the expected map. Because m is the same for both files, a gain between them is visible. Where nothing
+//! differs, the middle panel shows the expected picture, dimmed.
 
 use super::input::{Input, Pixels};
 use super::radiance::percentile;
@@ -41,7 +41,7 @@ const TEXT: f64 = 16.0;
 /// Number of decades that the scale of the false colours covers.
 const DECADES: f64 = 3.0;
 
-/// Colour of pixels that only one of the files has. Also the colour of pixels that are different, if one of their
+/// Colour of pixels that are not in both files. Also the colour of pixels that are different, if one of their
 /// values is NaN or infinite, either in a file or after conversion.
 const NOTHING: Colour = Colour(255, 0, 200);
 /// Colours below the tolerance: dark to light blue.
@@ -69,7 +69,8 @@ pub(super) fn check(path: &Path, inputs: &[PathBuf], overwrite: bool) -> Result<
     write::check_targets(&Target::of("--diff", &[path.to_owned()]), inputs, overwrite)
 }
 
-/// Writes the difference picture. Without magnitudes (if the sizes differ), pixels that only one file has are marked.
+/// Writes the difference picture. Without magnitudes (if the sizes differ), pixels that are not in both files are
+/// marked.
 ///
 /// # Errors
 /// [`Error::Write`], [`Error::OutputExists`].

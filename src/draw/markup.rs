@@ -14,7 +14,8 @@ pub fn number(v: f64) -> String {
 }
 
 /// Escapes text for use between tags and in quoted attributes of XML and HTML. Characters that XML 1.0 forbids, that
-/// are invisible, or that change the direction of the text become the replacement character.
+/// are invisible (except the joiners U+200C and U+200D, which some scripts need), or that change the direction of the
+/// text become the replacement character.
 pub fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
@@ -25,7 +26,13 @@ pub fn escape(text: &str) -> String {
             '"' => out.push_str("&quot;"),
             '\'' => out.push_str("&#39;"),
             '\t' | '\n' | '\r' => out.push(' '),
-            '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}' | '\u{fffe}' | '\u{ffff}' => out.push('\u{fffd}'),
+            '\u{ad}'
+            | '\u{61c}'
+            | '\u{200b}'
+            | '\u{200e}'..='\u{200f}'
+            | '\u{202a}'..='\u{202e}'
+            | '\u{2060}'..='\u{206f}' => out.push('\u{fffd}'),
+            '\u{feff}' | '\u{fffe}' | '\u{ffff}' => out.push('\u{fffd}'),
             c if c.is_control() => out.push('\u{fffd}'),
             c => out.push(c),
         }
@@ -68,9 +75,12 @@ mod tests {
 
     #[test]
     fn texts_are_escaped_and_file_names_have_no_folder() {
-        let hostile = "<img src=x onerror=\"a('b')\">&\n\u{7}\u{202e}gpj";
+        let hostile = "<img src=x onerror=\"a('b')\">&\n\u{7}\u{202e}\u{200b}\u{feff}gpj";
         let safe = escape(hostile);
-        assert_eq!(safe, "&lt;img src=x onerror=&quot;a(&#39;b&#39;)&quot;&gt;&amp; \u{fffd}\u{fffd}gpj");
+        assert_eq!(
+            safe,
+            "&lt;img src=x onerror=&quot;a(&#39;b&#39;)&quot;&gt;&amp; \u{fffd}\u{fffd}\u{fffd}\u{fffd}gpj"
+        );
         assert_eq!(file_name("a/b/<c>.jpg"), "<c>.jpg");
     }
 

@@ -59,8 +59,9 @@ pub struct Cells {
 }
 
 impl Cells {
-    /// Returns the integer factors that bring the long side of a picture to between `least` and `most` pixels, or as
-    /// close as possible.
+    /// Returns the integer factors for a picture whose long side should have between `least` and `most` pixels. A
+    /// longer side is reduced by the smallest factor that suffices. A shorter side is enlarged by the largest factor
+    /// that does not exceed `least`.
     pub fn within((width, height): (usize, usize), least: usize, most: usize) -> Cells {
         let side = width.max(height).max(1);
         Cells { by: side.div_ceil(most), times: (least / side).max(1) }

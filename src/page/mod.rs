@@ -33,11 +33,11 @@ use pictures::overlays::{self, Local};
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Largest number of pixels of the result on the page. A smaller result keeps its size.
+/// Approximate number of pixels of a large result on the page. A smaller result keeps its size (see [`within_pixels`]).
 const RESULT_PIXELS: usize = 3_000_000;
-/// Largest number of pixels of all frames on the page together.
+/// Approximate number of pixels of all frames on the page together, if they are large.
 const FRAMES_PIXELS: usize = 4_500_000;
-/// Largest number of pixels of one frame on the page; smaller frames keep their size.
+/// Approximate number of pixels of one large frame on the page, if there are few frames.
 const FRAME_PIXELS: usize = 1_500_000;
 /// Largest number of bytes of the result on the page. The JPEG quality is chosen accordingly.
 const RESULT_BYTES: usize = 620_000;
@@ -109,7 +109,8 @@ impl Page {
         Page { path: path.to_owned(), ..Page::default() }
     }
 
-    /// Adds the frames of `bracket`, cropped to `region` of the reference, and, if they were merged, their contributions.
+    /// Adds the frames of `bracket`, cropped to `region` of the reference, and, if they were merged, their
+    /// contributions.
     ///
     /// `alignment` was computed with `options` and produced `warnings`.
     ///

@@ -131,7 +131,7 @@ fn check(meta: &MetaData, length: usize, limits: &Limits) -> Result<(), String> 
             Compression::PXR24 => DEFLATE * 4 / 3,
             _ => u64::MAX,
         };
-        // Subsampled channels may have only a quarter of the values.
+        // Subsampled channels usually have at least a quarter of the values.
         limits::check_length(length, pixels * each / 4, most)?;
         blocks += header.chunk_count as u64;
         needed = needed.saturating_add(pixels.saturating_mul(each));

@@ -27,7 +27,7 @@ pub struct Metadata {
     /// The luminance of radiance (1, 1, 1) in cd/m2, before multiplication by [`exposure_scale`](Self::exposure_scale);
     /// `None` if radiance is not calibrated.
     pub cd_m2_per_unit: Option<Factor>,
-    /// The ICC profile of display-encoded pixels (8- and 16-bit TIFF, PNG); `None` means sRGB. Radiance formats
+    /// The ICC profile of display-encoded pixels (8- and 16-bit TIFF, PNG, JPEG); `None` means sRGB. Radiance formats
     /// record the `primaries` instead.
     pub profile: Option<Profile>,
     /// Additional comment lines for the header.

@@ -38,11 +38,13 @@ const REACH: isize = 3;
 /// The agreement of the tiles with a transform.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Agreement {
-    /// Number of tiles whose best match is at the position given by the transform.
+    /// Number of tiles whose best match is at the position given by the transform (at most 1.5 pixels of the compared
+    /// planes away), or hardly better than the match at this position.
     pub agreeing: usize,
     /// Number of tiles with enough structure whose best match is at another position, or that match nowhere.
     pub disagreeing: usize,
-    /// Number of tiles that are uniform, too dark, too bright, or outside the frame.
+    /// Number of tiles that are uniform, too dark, too bright, or outside the frame; also of faint tiles that match
+    /// nowhere, and of tiles that did not move with the scene (up to a third of the tiles).
     pub undecided: usize,
     /// Number of cells of a 3 x 3 grid over the picture that contain an agreeing tile, 0..=9.
     pub parts: usize,
@@ -132,7 +134,8 @@ pub struct TileDisplacement {
 pub struct TileCheck {
     /// The summary of all tiles.
     pub agreement: Agreement,
-    /// The correlation of each tile at its position; none for a tile with too little contrast or outside the frame.
+    /// The correlation of each tile at its position; none for a tile with too little contrast or outside the
+    /// frame, and for a faint tile that matches nowhere.
     pub correlations: Vec<Option<f32>>,
     /// The displacements of the agreeing tiles whose best match is not at the edge of the search range.
     pub displacements: Vec<TileDisplacement>,

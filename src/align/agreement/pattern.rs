@@ -75,7 +75,7 @@ impl Loops for WarpRow<'_> {
         let (right, bottom) = (frame.width() as f64 - 1.0, frame.height() as f64 - 1.0);
         let is_inside = |(u, w): (f64, f64)| u >= 0.0 && w >= 0.0 && u < right && w < bottom;
         for (start, piece) in row.chunks_mut(PIECE).enumerate().map(|(i, p)| (i * PIECE, p)) {
-            // Over a few pixels a homography is linear to within a ten-thousandth of a pixel.
+            // Over a few pixels a homography is linear to within some thousandths of a pixel.
             let from = map(h, start as f64, y as f64);
             let to = map(h, (start + PIECE) as f64, y as f64);
             let step = ((to.0 - from.0) / PIECE as f64, (to.1 - from.1) / PIECE as f64);
@@ -179,12 +179,13 @@ pub(crate) struct Pattern {
 }
 
 impl Pattern {
-    /// The pattern of a tile; none where it has too little contrast.
+    /// The pattern of a tile; none if it has too little contrast or fewer than [`LEAST_PIXELS`] usable pixels.
     pub(crate) fn new(both: &CommonExposure, left: usize, top: usize, side: usize) -> Option<Self> {
         Self::with_contrast(both, left, top, side, LEAST_CONTRAST)
     }
 
-    /// The pattern of a tile; none if the standard deviation of its pixels is less than `least`, in grey values.
+    /// The pattern of a tile; none if the standard deviation of its pixels is less than `least`, in grey values, or if
+    /// fewer than [`LEAST_PIXELS`] are usable.
     pub(super) fn with_contrast(
         both: &CommonExposure,
         left: usize,

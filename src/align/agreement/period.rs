@@ -21,9 +21,9 @@ use rayon::prelude::*;
 const PIXELS: usize = 200_000;
 /// Side of a patch, in pixels of the examined level.
 const SIDE: usize = 32;
-/// If too few patches have the contrast of other patterns ([`LEAST_CONTRAST`]), patches are used whose standard deviation
-/// is at least this, in grey values. It may be small: the level is smoothed, and two patches of noise at different
-/// places of a picture are not alike.
+/// If too few patches have the contrast of other patterns ([`LEAST_CONTRAST`]), patches are used whose standard
+/// deviation is at least this, in grey values. It may be small: the level is smoothed, and two patches of noise at
+/// different places of a picture are not alike.
 const FAINT_CONTRAST: f32 = 1.0;
 /// Number of patches along each side of the picture.
 const PATCHES: usize = 3;
@@ -89,7 +89,7 @@ pub(crate) fn periods(picture: &GreyPyramid, max_shift: f64) -> Vec<(f64, f64)> 
         if alike.len() < LEAST_PATCHES { f64::NAN } else { median(alike).map_or(f64::NAN, f64::from) }
     };
     let steps = (max_shift * width.max(height) as f64) as isize / STRIDE;
-    // Shifts by d and by -d have the same similarity, so only half of them are computed.
+    // If the picture repeats after the shift d, it also repeats after -d. So only half of the shifts are examined.
     let side = 2 * steps + 1;
     let all: Vec<f64> = (0..side * (steps + 1))
         .into_par_iter()

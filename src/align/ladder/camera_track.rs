@@ -52,7 +52,7 @@ const WORSE: f64 = 0.05;
 /// The transform of an aligned frame.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct KnownTransform {
-    /// The capture time: in seconds, or as the position in the order of capture.
+    /// The capture time, see [`capture_times`].
     pub(crate) time: f64,
     /// Reference pixel -> frame pixel.
     pub(crate) transform: Transform,

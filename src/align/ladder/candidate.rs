@@ -40,7 +40,7 @@ pub(crate) struct Candidate {
     /// Whether the transform was fitted to the displacements of the tiles.
     pub(crate) by_tiles: bool,
     /// Confidence of the picture that the frame was aligned to (1 for the reference), times the uniqueness of the
-    /// candidate among all candidates, 0..=1.
+    /// candidate (see [`uniqueness`](super::selection::Candidates::uniqueness)), 0..=1.
     pub(crate) reliability: f64,
     /// The error that halves the confidence, in pixels: [`TOLERANCE_PX`] for a picture with a diagonal of up to 2000
     /// pixels, more for a larger one.
@@ -73,9 +73,9 @@ impl Candidate {
         self.most_px() < self.tolerance_px
     }
 
-    /// Whether the error is small enough to merge the frame where it has detail: enough tiles agree, and they are hardly
-    /// displaced. The error over the whole picture may be large if most of the frame is clipped or uniform; but there a
-    /// displacement does little harm.
+    /// Whether the error is small enough to merge the frame where it has detail: enough tiles agree, and they are
+    /// hardly displaced. The error over the whole picture may be large if most of the frame is clipped or uniform; but
+    /// there a displacement does little harm.
     pub(super) fn is_precise_at_tiles(&self) -> bool {
         self.agreement().agreeing >= SETTLED_AGREEING && self.offset_px < self.tolerance_px
     }
@@ -148,8 +148,8 @@ pub(super) fn evaluate_with_fit(pair: &FramePair, transform: Transform, noise_px
     (candidate, fit)
 }
 
-/// Returns the part of a displacement d that its expected error e does not explain, in the same unit: d (1 - (e / d)^2),
-/// and 0 if d is less than e (similar to the estimate of James & Stein, 1961, limited to 0 or more).
+/// Returns the part of a displacement d that its expected error e does not explain, in the same unit: d (1 - (e /
+/// d)^2), and 0 if d is less than e (similar to the estimate of James & Stein, 1961, limited to 0 or more).
 fn excess(displacement: f64, error: f64) -> f64 {
     if displacement > error { (displacement * displacement - error * error) / displacement } else { 0.0 }
 }

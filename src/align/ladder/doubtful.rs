@@ -53,27 +53,42 @@ impl Search<'_> {
         neighbour: Option<Target>,
         shared: &Shared,
     ) -> Found {
-        let frame = &self.pyramids[i];
-        let (width, height) = self.size();
-        let near = CORROBORATED_PX / 1000.0 * ((width * width + height * height) as f64).sqrt();
-        let alike = |a: &Transform, b: &Transform| distance(a, b, width, height) <= near;
         let reference = Target { pyramid: Cow::Borrowed(self.reference_pyramid()), error_px: 0.0, confidence: 1.0 };
         let targets: Vec<Target> = [reference].into_iter().chain(neighbour).collect();
-        let repeats = shared.repetition.concerns(i);
         let mut candidates = Candidates::default();
         candidates.add(0, first);
+        let counts = self.find_candidates(i, &targets, shared, &mut candidates);
+        if shared.repetition.concerns(i) {
+            self.shift_by_periods(i, &targets, shared, &mut candidates);
+        }
+        (self.chosen(i, &targets, &candidates), counts)
+    }
+
+    /// Adds candidates for frame `i` from the bitmaps of the neighbour, from features, and from the other minima of the
+    /// bitmap search, until one is good enough. Returns the numbers of keypoints and inliers.
+    fn find_candidates(
+        &self,
+        i: usize,
+        targets: &[Target],
+        shared: &Shared,
+        candidates: &mut Candidates,
+    ) -> FeatureCounts {
+        let frame = &self.pyramids[i];
+        let (width, height) = self.size();
+        let alike = |a: &Transform, b: &Transform| distance(a, b, width, height) <= self.corroborated_px();
         for (b, target) in targets.iter().enumerate().skip(1) {
             let (_, found) = by_bitmaps(&target.pyramid, frame, &self.options.mtb);
             candidates.add(b, found.map(|c| target.discount(c)));
         }
-        let mut found = FeatureCounts::default();
+        let mut counts = FeatureCounts::default();
         let mut is_corroborated = false;
+        let repeats = shared.repetition.concerns(i);
         let is_settled = |candidates: &Candidates| !repeats && candidates.best().is_some_and(|(_, c)| c.is_settled());
-        if let (false, Some(reference)) = (is_settled(&candidates), &shared.features) {
+        if let (false, Some(reference)) = (is_settled(candidates), &shared.features) {
             let own = self.features(i);
-            found.keypoints = Some(own.counts);
+            counts.keypoints = Some(own.counts);
             if let Some((start, inliers)) = self.consensus(reference, &own) {
-                found.inliers = Some(inliers);
+                counts.inliers = Some(inliers);
                 is_corroborated =
                     inliers >= 2 * LEAST_INLIERS && candidates.corroborate(|c| alike(&c.transform, &start));
                 if !is_corroborated {
@@ -85,7 +100,7 @@ impl Search<'_> {
             }
         }
         // The other minima are also tried if the scene repeats: in such a picture, features fail as easily as bitmaps.
-        if repeats || !(is_settled(&candidates) || is_corroborated) {
+        if repeats || !(is_settled(candidates) || is_corroborated) {
             let start = candidates.best().map_or(Transform::Identity, |(_, c)| c.transform);
             let angle = start.rotation_deg(width, height).to_radians();
             for (b, target) in targets.iter().enumerate() {
@@ -94,11 +109,17 @@ impl Search<'_> {
                 }
             }
         }
-        // If the scene repeats, a transform that is shifted by a period may match as well as the best one, or better.
+        counts
+    }
+
+    /// Adds the candidates that the best one becomes when it is shifted by a period of the scene: they may match as well,
+    /// or better. If one of them is the best, it is shifted in turn.
+    fn shift_by_periods(&self, i: usize, targets: &[Target], shared: &Shared, candidates: &mut Candidates) {
+        let (width, height) = self.size();
         for _ in 0..MOST_PERIODS {
-            let Some((b, best)) = candidates.best().filter(|_| repeats) else { break };
+            let Some((b, best)) = candidates.best() else { break };
             let best = best.transform;
-            let pair = targets[b].compare(frame, &best);
+            let pair = targets[b].compare(&self.pyramids[i], &best);
             for start in shared.repetition.shifted(i, &best.matrix(width, height)) {
                 candidates.add(b, by_start(&pair, &start, 0).map(|c| targets[b].discount(c)));
             }
@@ -106,20 +127,29 @@ impl Search<'_> {
                 break;
             }
         }
-        let Some((b, best)) = candidates.winner() else {
-            return (rejected(rejection_reason(None), 0.0), found);
-        };
-        let is_other = |c: &Candidate| distance(&c.transform, &best.transform, width, height) > SAME_APART * near;
-        let uniqueness = candidates.uniqueness((b, best), is_other);
-        let reliability = best.reliability * uniqueness;
+    }
+
+    /// Returns the placement that follows from all `candidates`.
+    fn chosen(&self, i: usize, targets: &[Target], candidates: &Candidates) -> Placement {
+        let Some((b, best)) = candidates.winner() else { return rejected(rejection_reason(None), 0.0) };
+        let (width, height) = self.size();
+        let apart = SAME_APART * self.corroborated_px();
+        let is_other = |c: &Candidate| distance(&c.transform, &best.transform, width, height) > apart;
+        let reliability = best.reliability * candidates.uniqueness((b, best), is_other);
         let unique = Candidate { reliability, ..best.clone() };
         if !is_acceptable(&unique) {
-            return (rejected(rejection_reason(Some(best)), unique.confidence()), found);
+            return rejected(rejection_reason(Some(best)), unique.confidence());
         }
-        let reduced = reduce(&targets[b].compare(frame, &best.transform), unique);
-        let noise_px = reduced.noise_px.max(targets[b].error_px);
-        let reduced = Candidate { reliability, noise_px, ..reduced };
-        (Placement::Placed(estimate(&reduced)), found)
+        let target = &targets[b];
+        let reduced = reduce(&target.compare(&self.pyramids[i], &best.transform), unique);
+        let noise_px = reduced.noise_px.max(target.error_px);
+        Placement::Placed(estimate(&Candidate { reliability, noise_px, ..reduced }))
+    }
+
+    /// [`CORROBORATED_PX`] for pictures of this size, in pixels of the full size.
+    fn corroborated_px(&self) -> f64 {
+        let (width, height) = self.size();
+        CORROBORATED_PX / 1000.0 * ((width * width + height * height) as f64).sqrt()
     }
 
     /// Frame `n`, warped to the reference's grid, if it was placed. A frame that is aligned to this target therefore

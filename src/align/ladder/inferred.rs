@@ -1,8 +1,8 @@
 //! Transforms inferred from the other frames of a bracket, for frames with too little detail.
 //!
 //! In: the placements of all frames. Out: the placements of frames with little detail, inferred from the motion of the
-//! camera between the other frames. Cost: each such frame is checked by tiles against the reference once more, and
-//! compared with its neighbour in exposure at some tens of thousands of samples.
+//! camera between the other frames. Cost: at most two more checks by tiles, and a comparison with the neighbour
+//! in exposure at some tens of thousands of samples, for each such frame.
 //!
 //! A frame that is nearly all black or white has little detail for alignment, but is often important: it may be the
 //! only one with unclipped lamps. If the camera stood still for the other frames, or moved little from one to the next,
@@ -95,7 +95,8 @@ impl Search<'_> {
     }
 
     /// Gives nearly black or white frames that could not be aligned the transform that the `known` transforms predict,
-    /// if its expected error is small enough.
+    /// if its expected error is small enough, and if the frame then has the same order of brightness as its neighbour
+    /// in exposure.
     pub(crate) fn infer_from_track(&self, known: Vec<KnownTransform>, placements: &mut [Placement]) {
         let (count, size) = (known.len(), self.size());
         let Some(track) = CameraTrack::new(known, size) else { return };

@@ -21,7 +21,7 @@ pub(crate) struct LocalCheck {
 }
 
 impl Search<'_> {
-    /// Checks all placed frames whose transforms were estimated, not preset.
+    /// Checks all placed frames whose transforms were estimated, not preset, and have an error estimate.
     pub(super) fn check_locally(&self, placements: &mut [Placement]) {
         let checked = map_at_once(placements.len(), self.compared_at_once, |i| match &placements[i] {
             Placement::Placed(estimate) if self.given[i].is_none() && estimate.error_px.is_some() => {

@@ -1,7 +1,7 @@
 //! The ladder: the alignment methods, tried in order from the cheapest to the most expensive.
 //!
-//! In: the grey pyramids of a bracket. Out: a [`Placement`] for each frame. Cost: [`by_bitmaps`] for a frame that needs
-//! no other method; several times as much for a difficult frame.
+//! In: the grey pyramids of a bracket. Out: a [`Placement`] for each frame. Cost: [`by_bitmaps`], up to two more
+//! refinements and the local check for a frame that needs no other method; several times as much for a difficult frame.
 //!
 //! A frame is aligned to the reference by bitmaps (`starts`). The transform is refined and then checked (`candidate`).
 //! If the check leaves doubt, further candidates are found (`doubtful`): by alignment to the neighbour in exposure that
@@ -53,7 +53,7 @@ pub(crate) struct Search<'a> {
     pub(crate) grey: &'a (dyn Fn(usize) -> Plane<u8> + Sync),
     /// Brightness and detail of each frame.
     pub(crate) contents: &'a [Content],
-    /// The capture time of each frame: in seconds, or its position in the order of capture.
+    /// The capture time of each frame, see [`capture_times`](camera_track::capture_times).
     pub(crate) capture_times: &'a [f64],
     /// Largest number of frames that are compared with the reference at the same time.
     pub(crate) compared_at_once: usize,
@@ -73,7 +73,7 @@ type AllFound = (Vec<Placement>, Vec<FeatureCounts>);
 
 /// The result of aligning a frame to the reference by bitmaps and refinement, without other methods.
 enum FirstResult {
-    /// The placement is final; no other method is tried.
+    /// No other method is tried. (The local check, or a frame with little detail, may still change the placement.)
     Settled(Found),
     /// Other methods must be tried. Holds the candidate of the bitmaps, if there is one.
     Doubtful(Option<Candidate>),
@@ -197,7 +197,7 @@ impl Search<'_> {
         features::features(&self.pyramids[i], level, &self.options.detector(), self.options.mtb.exclusion)
     }
 
-    /// The homography on which the largest number of matches agree (the inliers), and this number.
+    /// The homography that RANSAC finds from the matches, and the number of its inliers.
     fn consensus(&self, reference: &FeatureSets, frame: &FeatureSets) -> Option<(Transform, usize)> {
         let to_full = level_to_full(measured_level(self.reference_pyramid()));
         let found = features::by_matches(reference, frame, &to_full, self.options)?;

@@ -130,7 +130,7 @@ pub(crate) fn estimate(candidate: &Candidate) -> Estimate {
 }
 
 /// The placement of a frame that could not be aligned. `confidence` is the confidence of the best transform that was
-/// found.
+/// found; the placement has at most [`ACCEPTED_CONFIDENCE`].
 pub(super) fn rejected(reason: String, confidence: f64) -> Placement {
     let confidence = confidence.min(ACCEPTED_CONFIDENCE);
     Placement::Rejected { by: RejectedBy::Alignment, confidence, reason: Some(reason) }
@@ -214,7 +214,7 @@ mod tests {
 
     #[test]
     fn candidate_that_is_precise_where_it_has_detail_is_accepted_without_confidence() {
-        // The error is large because few tiles agree, in a small part of the picture.
+        // The error is large, but the tiles that agree are hardly displaced.
         let with = |agreeing, disagreeing, offset_px| Candidate {
             noise_px: 2.0,
             offset_px,

@@ -2,8 +2,8 @@
 //! and which candidates are accepted.
 //!
 //! In: nothing. Out: constants, each with its unit and provenance. "Chosen on rendered brackets" means that a value has
-//! no derivation, but gave good results on rendered brackets, whose true transforms are known. The tables in the tests
-//! of `selection` show the effect of the values.
+//! no derivation, but gave good results on rendered brackets, whose true transforms are known. A table in the tests of
+//! `selection` shows the effect of the values.
 
 // When a candidate is settled, that is, when no other method is tried.
 
@@ -32,13 +32,14 @@ pub(super) const UNOPPOSED_AGREEING_PER_DISAGREEING: usize = 8;
 /// A candidate with less confidence than [`ACCEPTED_CONFIDENCE`] is accepted only if its reliability is at least this,
 /// 0..=1. Chosen on rendered brackets.
 pub(super) const ACCEPTED_RELIABILITY: f64 = 0.25;
-/// The message about a rejected frame says how many tiles disagree, if at least this many tiles agree or disagree.
-/// Otherwise it says that too few parts of the frame can be compared. Chosen on rendered brackets.
+/// The message about a rejected frame that does not match at several positions says how many tiles disagree, if at
+/// least this many tiles agree or disagree. Otherwise it says that too few parts of the frame can be compared. Chosen
+/// on rendered brackets.
 pub(super) const EXPLAINING_TILES: usize = 8;
 /// Error estimate that halves the confidence of a candidate, in pixels, for pictures with a diagonal of up to 2000
 /// pixels. If the eight coefficients of the error of a homography are random and equally large (with half the width as
-/// the unit of length), the error exceeds 1.7 times its root mean square in 3 % of the picture (median of 2000 draws). So
-/// at this value, 3 % are off by 2 px.
+/// the unit of length), the error exceeds 1.7 times its root mean square in 3 % of the picture (median of 2000 draws).
+/// So at this value, 3 % are off by 2 px.
 pub(super) const TOLERANCE_PX: f64 = 1.2;
 /// The median displacement of tiles under the true transform, due to noise, in pixels of the level on which tiles are
 /// measured. Measured on rendered brackets.
@@ -47,7 +48,8 @@ pub(super) const TILE_NOISE_PX: f64 = 0.05;
 // Which candidate is selected.
 
 /// Candidates found first come from more direct methods. A later candidate is better than an earlier one only if its
-/// evidence is greater than the earlier one's times this factor, plus [`LATER_EVIDENCE_TILES`].
+/// evidence is greater than the earlier one's times this factor, plus [`LATER_EVIDENCE_TILES`]. Chosen on rendered
+/// brackets.
 pub(super) const LATER_EVIDENCE_FACTOR: f64 = 1.01;
 /// See [`LATER_EVIDENCE_FACTOR`]; in tiles. Without this margin, rounding errors would decide between candidates with
 /// equal evidence.

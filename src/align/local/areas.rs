@@ -1,8 +1,8 @@
 //! Areas: the part of the picture that each cell of the local field stands for.
 //!
 //! In: the positions of a grid, which of them have a cell, and which of them the frame shows. Out: for each cell, the
-//! number of positions that are nearer to it than to any other cell. Cost: a search of the surroundings of each
-//! position. Source: Voronoi's diagram (Aurenhammer, ACM Computing Surveys 23(3), 1991).
+//! number of positions that are nearer to it than to any other cell, and not too far from it. Cost: a search of the
+//! surroundings of each position. Source: Voronoi's diagram (Aurenhammer, ACM Computing Surveys 23(3), 1991).
 //!
 //! A cell exists only where the picture has detail, and where neither frame is clipped. Without the areas, a region of
 //! rich detail would count for more than a larger region with little detail.
@@ -25,8 +25,8 @@ pub(super) fn areas(has_cell: &[bool], columns: usize, shown: impl Fn(usize) -> 
     areas
 }
 
-/// Returns the nearest position with a cell, if it is not farther than [`FARTHEST`]. Searches squares around `position`,
-/// from the smallest, until no position outside of the square can be nearer.
+/// Returns the nearest position with a cell, if it is not farther than [`FARTHEST`]. Searches squares around
+/// `position`, from the smallest, until no position outside of the square can be nearer.
 fn nearest(has_cell: &[bool], columns: usize, position: usize) -> Option<usize> {
     let rows = has_cell.len() / columns;
     let (column, row) = (position % columns, position / columns);

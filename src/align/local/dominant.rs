@@ -8,9 +8,9 @@
 //!
 //! The refinement on the pixels minimises the difference of the pixels. If the motions of the parts of a picture differ
 //! by a few pixels, its result is a compromise. It fits no part exactly, and fits the part with the strongest contrast
-//! best. Here, in contrast, all cells whose displacement is more precise than the tolerance have nearly equal weights,
-//! whatever their contrast. A less precise cell has a smaller weight, and a cell that moves differently has the weight
-//! 0.
+//! best. Here, in contrast, each cell whose displacement is more precise than the tolerance has nearly the same weight
+//! for each pixel of its area, whatever its contrast. A less precise cell has a smaller weight, and a cell that moves
+//! differently has the weight 0.
 
 use crate::align::local::cell::{Cell, square};
 use crate::align::transform::{Block, Increment, Model, blocks, fitted_error};
@@ -213,8 +213,8 @@ impl Fit<'_> {
         (a, b)
     }
 
-    /// Returns the part of the prior in the normal equations. `add_prior` gives equations for the change from `at`. Here
-    /// the unknown is the whole motion, so the matrix times `at` is subtracted from the vector.
+    /// Returns the part of the prior in the normal equations. `add_prior` gives equations for the change from `at`.
+    /// Here the unknown is the whole motion, so the matrix times `at` is subtracted from the vector.
     fn prior(&self, at: &DVector<f64>, factor: f64) -> (DMatrix<f64>, DVector<f64>) {
         let n = self.basis.parameters();
         let (mut a, mut b) = (DMatrix::zeros(n, n), DVector::zeros(n));

@@ -1,12 +1,11 @@
-//! The local field: the displacements of the patches. Each is averaged with the displacements of neighbours that move
-//! alike.
+//! The local field: the displacements of the patches. Each is averaged with the displacements of its neighbours.
 //!
 //! In: the [matches](super::matching) of the patches. Out: a [`LocalField`], and how many of its cells are displaced
 //! ([`Misfit`]). Cost: negligible. Source: weighted least squares over neighbouring patches, with Tukey's biweight.
 //!
 //! Each match is described by a paraboloid: its peak is the displacement, and its curvature is the precision in each
-//! direction. The sum of the paraboloids of neighbouring patches describes a larger patch. Its boundary adapts to the
-//! picture, because a neighbour that moves differently has no weight. The noise is estimated from the scatter of the
+//! direction. The sum of the paraboloids of neighbouring patches describes a larger patch. A match that differs from
+//! the sum around it has a small weight in all sums. The noise is estimated from the scatter of the
 //! matches about the field. Therefore a displacement in a dark or noisy frame must be larger to be significant.
 
 use crate::align::agreement::pattern::PEAK_BIAS;
@@ -28,18 +27,18 @@ const LEAST_KNOWN: f64 = 0.25;
 /// The displacement of a cell is significant only if at least this share of the matches around it agree with each
 /// other.
 const LEAST_AGREEING: f64 = 0.5;
-/// With fewer known cells than this, the misfit is 0 and no dominant motion is searched.
+/// With fewer known cells than this, the misfit is 0.
 const LEAST_CELLS: usize = 16;
 /// A cell counts as displaced if its displacement is at least this, in pixels of the full size. A double edge is
 /// visible from 2 px on; the value is less, because a cell at an edge of depth measures the mean of two displacements.
 const DISPLACED_PX: f64 = 1.5;
 
 /// Unless clearly more than this share of the cells are displaced, the displaced cells count as 0 in the root mean
-/// square. Such a small part of the picture is more likely a thing that moved, or a wrong match, than an effect of depth.
-/// If clearly more are displaced, the mode `auto` uses a finer level for a frame that moved, if there is one.
+/// square. Such a small part of the picture is more likely a thing that moved, or a wrong match, than an effect of
+/// depth.
 const LEAST_DISPLACED: f64 = 0.01;
-/// The dominant motion is searched only if the root mean square displacement is at least this, in pixels of the full
-/// size.
+/// If the root mean square displacement is at least this, in pixels of the full size, the mode `auto` measures the
+/// displacements of a frame that moved on a finer level, if there is one, and searches for the dominant motion.
 const LEAST_MISFIT_PX: f64 = 0.15;
 /// If the share of the cells that are displaced, minus its standard error, is this large, the confidence is halved. The
 /// aim is a confidence below one half if 3 % of the picture are displaced. The value is smaller than 3 %, because the
@@ -62,6 +61,7 @@ pub(crate) struct LocalField {
     size: (usize, usize),
     /// The cells whose displacement is known.
     pub(super) cells: Vec<Cell>,
+    misfit: Misfit,
 }
 
 /// How many of the cells a transform does not fit. All lengths are in pixels of the full size.
@@ -73,8 +73,8 @@ pub(crate) struct Misfit {
     /// large if few cells are known, as in a dark frame.
     pub(crate) displaced_surely: f64,
     /// Root mean square displacement over the picture, minus the part that is due to [`PEAK_BIAS`]. Each cell counts
-    /// with the area that it stands for. Displacements that are not significant count as 0. If `displaced_surely` is less
-    /// than [`LEAST_DISPLACED`], the displaced cells count as 0, too.
+    /// with the area that it stands for. Displacements that are not significant count as 0. If `displaced_surely` is
+    /// less than [`LEAST_DISPLACED`], the displaced cells count as 0, too.
     pub(crate) rms_px: f64,
 }
 
@@ -101,13 +101,20 @@ impl LocalField {
             let (u, v) = map(&h, x, y);
             u >= 0.0 && v >= 0.0 && u <= (size.0 - 1) as f64 && v <= (size.1 - 1) as f64
         };
-        LocalField { h, size, cells: smoothed(&matches, is_shown), matches }
+        let cells = smoothed(&matches, is_shown);
+        Self::with(matches, h, size, cells)
     }
 
-    /// Returns the field of the next finer level, if there is one, and if clearly more than [`LEAST_DISPLACED`] of the
-    /// cells are displaced. On that level, fewer patches contain two motions.
+    /// `h` is in pixels of the level of the matches, and `size` is the size of that level.
+    fn with(matches: Matches, h: Matrix3<f64>, size: (usize, usize), cells: Vec<Cell>) -> Self {
+        let field = LocalField { h, matches, size, cells, misfit: Misfit::default() };
+        LocalField { misfit: field.measured(), ..field }
+    }
+
+    /// Returns the field of the next finer level, if there is one, and if the transform does not fit everywhere. On
+    /// that level, fewer patches contain two motions.
     pub(crate) fn on_finer_level(&self, pair: &FramePair) -> Option<Self> {
-        if self.misfit().displaced_surely < LEAST_DISPLACED {
+        if self.misfit.rms_px < LEAST_MISFIT_PX {
             return None;
         }
         let h = off_level(&self.h, self.matches.level);
@@ -118,7 +125,7 @@ impl LocalField {
     /// the error estimate of the dominant motion in pixels of the full size. None if the present transform fits nearly
     /// as much of the picture.
     pub(crate) fn dominant(&self) -> Option<(Self, f64)> {
-        if self.cells.len() < LEAST_CELLS || self.misfit().rms_px < LEAST_MISFIT_PX {
+        if self.misfit.rms_px < LEAST_MISFIT_PX {
             return None;
         }
         let found = dominant::search(&self.cells, &self.h, self.size, self.scale())?;
@@ -129,8 +136,7 @@ impl LocalField {
             Cell { displacement: [u - x, v - y], ..*cell }
         };
         let cells = self.cells.iter().map(moved).collect();
-        let field = LocalField { h: found.h, matches: self.matches.clone(), size: self.size, cells };
-        Some((field, self.scale() * found.error))
+        Some((Self::with(self.matches.clone(), found.h, self.size, cells), self.scale() * found.error))
     }
 
     /// Returns the transform from which the displacements are measured, in pixels of the full size.
@@ -151,6 +157,11 @@ impl LocalField {
 
     /// Returns how many of the cells are displaced; zeros if fewer than [`LEAST_CELLS`] cells are known.
     pub(crate) fn misfit(&self) -> Misfit {
+        self.misfit
+    }
+
+    /// Computes the [`misfit`](Self::misfit).
+    fn measured(&self) -> Misfit {
         if self.cells.len() < LEAST_CELLS {
             return Misfit::default();
         }

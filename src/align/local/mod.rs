@@ -4,8 +4,8 @@
 //! transform gives ([`LocalField`]), and the share of the cells that are displaced ([`Misfit`](field::Misfit)). Cost,
 //! on the level on which agreement is measured: every second patch is matched, with nine correlations of three
 //! multiply-adds per pixel. If more than a hundredth of the patches seem displaced or have no match, there are some
-//! hundred more correlations for every pixel. If the frame moved and many cells are displaced, there are some ten more
-//! for every pixel of the next finer level.
+//! hundred more correlations for every pixel. In the mode `auto`, if the frame moved and the transform does not fit
+//! everywhere, there are some ten more for every pixel of the next finer level.
 //!
 //! The tiles of [`agreement`](crate::align::agreement) show whether a transform is right at all: they are large, and
 //! their displacement is searched within a few pixels only. Near objects, rolling shutter and moving things displace

@@ -33,7 +33,7 @@ pub struct FindOptions {
     /// Longest pause within a bracket, from the end of an exposure to the start of the next, in seconds. Default:
     /// 120.
     pub gap_s: Option<f64>,
-    /// If true, each folder is one bracket, regardless of EXIF.
+    /// If true, each folder is one bracket, regardless of the exposures and times in EXIF.
     pub by_folder: bool,
     /// Folders that are not searched, because results go there.
     pub skip: Vec<PathBuf>,
@@ -68,8 +68,8 @@ pub struct FoundBracket {
 }
 
 impl FoundBracket {
-    /// Returns for each photograph the relative exposure t ISO / N^2 (s) with which it is merged; `None` if its EXIF
-    /// tags do not suffice.
+    /// Returns for each photograph the relative exposure t ISO / N^2 (s) from its EXIF tags; `None` if they do not
+    /// suffice. (The merge may correct it.)
     pub fn exposures(&self) -> Vec<Option<f64>> {
         let tags: Vec<_> = self.photographs.iter().map(|shot| shot.header.exposure).collect();
         let (exposures, _) = exposure::by_tags(&tags);
@@ -107,7 +107,8 @@ pub enum Reason {
     Twin(PathBuf),
     /// The same file is considered under another path. Contains that path.
     SameFile(PathBuf),
-    /// It is a result that hdralign wrote. Contains the name and version of the program from its EXIF.
+    /// It is a result that hdralign wrote. Contains the name and version of the program from its
+    /// metadata.
     Result(String),
     /// It cannot be read. Contains the error.
     Unreadable(String),
@@ -119,7 +120,7 @@ pub enum Reason {
     Single,
     /// It is one of several consecutive photographs with the same exposure. Contains their number.
     Burst(usize),
-    /// Only with [`FindOptions::frames`]: too few photographs around it are left for a bracket of that number of
+    /// Only with [`FindOptions::frames`]: the photographs around it that are left form no bracket of that number of
     /// frames. Contains that number.
     Remainder(usize),
     /// Only with [`FindOptions::by_folder`]: its size differs from the size that is considered in its folder. Contains
@@ -182,8 +183,8 @@ impl fmt::Display for Reason {
     }
 }
 
-/// Finds the brackets in the folders `roots` and all folders below them. Calls `watch` with the number of headers
-/// read so far. The calls come from any thread.
+/// Finds the brackets in the folders `roots` and all folders below them. Calls `watch` with the number of photographs
+/// examined so far. The calls come from any thread.
 ///
 /// # Errors
 /// [`Error::Read`](crate::error::Error::Read) if one of `roots` is not a folder or cannot be read;

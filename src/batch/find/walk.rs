@@ -66,7 +66,7 @@ pub(super) enum Kind {
     Other(&'static str),
 }
 
-/// Extensions of raw files, as ExifTool lists them.
+/// Extensions of raw files: those that ExifTool lists, and `bay` and `dcs`.
 const RAW: [&str; 32] = [
     "3fr", "ari", "arw", "bay", "cr2", "cr3", "crw", "dcr", "dcs", "dng", "erf", "fff", "gpr", "iiq", "k25", "kdc",
     "mef", "mos", "mrw", "nef", "nrw", "orf", "ori", "pef", "raf", "raw", "rw2", "rwl", "sr2", "srf", "srw", "x3f",
@@ -180,7 +180,8 @@ struct Entry {
 }
 
 /// Returns the entries of the folder `path`, sorted by name. It omits hidden files, the folders `__MACOSX` (from zip
-/// files) and `@eaDir` (from file servers), and the folders that `hdralign inspect` writes.
+/// files) and `@eaDir` (from file servers), and the folders that `hdralign inspect` writes
+/// (whose names end with `.inspect`).
 fn entries(path: &Path) -> io::Result<Vec<Entry>> {
     let mut entries = Vec::new();
     for entry in fs::read_dir(path)? {

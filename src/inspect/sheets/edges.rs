@@ -1,6 +1,6 @@
 //! The strength of edges at each pixel of a frame.
 //!
-//! In: grey values. Out: [`Edges`]. Cost: two passes over the picture. The strengths of differently exposed frames
+//! In: grey values. Out: [`Edges`]. Cost: five passes over the picture. The strengths of differently exposed frames
 //! are comparable, because they are computed from the logarithm of the grey values and divided by the strength of the
 //! strongest edges.
 
@@ -61,7 +61,7 @@ pub(super) struct Edges {
     pub(super) full: f32,
 }
 
-/// An invalid pixel affects gradients up to this distance, in pixels, through smoothing and the Sobel filter.
+/// An invalid pixel clearly affects gradients up to this distance, in pixels, through smoothing and the Sobel filter.
 const REACH: usize = 3;
 
 impl Grey {

@@ -1,8 +1,9 @@
 //! Draws the keypoints of a frame: those in the photograph, those in its bitmaps, and those in both.
 //!
 //! In: a frame and its features. Out: a drawing with a circle for each keypoint. The radius is the scale of the
-//! keypoint, and a tick shows its direction. Cost: about 70 bytes per keypoint. Source: the figures in chapter 4 of the
-//! thesis that hdralign is based on. The colours can be distinguished with colour blindness (after Okabe & Ito 2008).
+//! keypoint, and a tick shows its direction. Cost: about 180 bytes per keypoint. Source: the figures in chapter 4 of
+//! the thesis that hdralign is based on. The colours can be distinguished with colour blindness (after Okabe & Ito
+//! 2008).
 
 use super::layout::{Entry, Mark, Page};
 use super::photograph::Photograph;

@@ -1,7 +1,7 @@
 //! Draws matches: the reference frame and a frame side by side, with lines between matching keypoints.
 //!
 //! In: two frames and their matches. Out: a drawing in which inliers and outliers of the robust estimator have
-//! different colours. Cost: some 50 bytes per match.
+//! different colours. Cost: some 120 bytes per match.
 
 use super::layout::{Entry, Mark, Page, TEXT};
 use super::photograph::Photograph;

@@ -1,5 +1,5 @@
 //! The overlay: the edges of a frame and of the reference frame in one picture. There are two pictures of equal size,
-//! one before and one after alignment. The user compares them by switching between them.
+//! one before and one after alignment. The user compares them with a slider.
 //!
 //! In: two frames and a transform. Out: an [`Overlay`]. It shows the whole picture. If the photographs are large
 //! enough, a row of details follows below, at twice their size, so that an offset of half a pixel is visible. Cost:

@@ -2,7 +2,7 @@
 //! after. The two frames have different colours, which add up to white where both have an edge.
 //!
 //! In: two frames and a transform. Out: [`Views`] with the whole picture and some details at twice their size, in
-//! which an offset of half a pixel is visible; and their drawing for a file. Cost: two passes over the pictures at
+//! which an offset of half a pixel is visible; and their drawing for a file. Cost: some passes over the pictures at
 //! the drawn size.
 
 use super::edges::{Edges, Grey, laid};

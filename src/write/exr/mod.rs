@@ -35,7 +35,7 @@ pub enum Compression {
     /// Larger files than zip, for programs that read single rows; Deflate of each row.
     #[strum(serialize = "zips")]
     Zip1,
-    /// No compression: 1.4 to 2 times the size of piz with half floats, 1.1 times with 32-bit floats.
+    /// No compression: 1.6 to 3 times the size of piz with half floats, 1.1 times with 32-bit floats.
     None,
 }
 

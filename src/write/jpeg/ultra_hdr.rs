@@ -32,7 +32,7 @@ pub(super) fn index(first: usize, second: usize, offset: usize) -> io::Result<Ve
     out.extend_from_slice(b"\xB0\x01\0\x04\0\0\0\x01\0\0\0\x02");
     out.extend_from_slice(b"\xB0\x02\0\x07\0\0\0\x20\0\0\0\x32");
     out.extend_from_slice(&[0; 4]);
-    // The first image is the representative image and has the type "baseline primary image". The MPF standard has no
+    // The first image has the type "baseline primary image". The MPF standard has no
     // type for the second image, the gain map.
     for (kind, size, offset) in [([0, 3, 0, 0], first, 0), ([0; 4], second, offset)] {
         out.extend_from_slice(&kind);

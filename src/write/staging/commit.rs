@@ -172,9 +172,9 @@ pub fn commit(files: Vec<Pending>, overwrite: bool) -> Result<()> {
 }
 
 /// Renames `files` to their targets, in order. If the process is killed meanwhile, only the first files have been
-/// renamed; so if the last target exists, all targets exist. A file that replaces an older file gets the permissions
-/// of the older file. If a rename fails, the files that were already renamed are removed again. Exceptions are files
-/// that have replaced an older file, because the older file cannot be restored.
+/// renamed; so if none of the targets existed before and the last one exists, all exist. A file that replaces an older
+/// file gets the permissions of the older file. If a rename fails, the files that were already renamed are removed
+/// again. Exceptions are files that have replaced an older file, because the older file cannot be restored.
 ///
 /// # Errors
 /// [`Error::OutputExists`] if a target exists now and `overwrite` is off; [`Error::Write`]; [`Error::Abandoned`].
