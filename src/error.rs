@@ -44,7 +44,7 @@ pub enum Error {
     Decode {
         /// The file.
         path: PathBuf,
-        /// The format, detected from the content: `JPEG`, `PNG`, `TIFF`.
+        /// The format, detected from the content: `JPEG`, `PNG`, `TIFF`, `OpenEXR` or `Radiance HDR`.
         format: &'static str,
         /// What is wrong, and what to do.
         reason: String,

@@ -355,6 +355,7 @@ pub fn inspect(images: &[PathBuf], options: &Options, folder: &Path, watch: Watc
 fn validate(options: &Options) -> Result<()> {
     options.align.validate()?;
     options.rendering.validate()?;
+    options.write.picture.adjust.validate()?;
     options.calibration.validate()?;
     options.unit_exposure.map_or(Ok(()), |exposure| normalisation::validate(exposure, &options.calibration))?;
     options.deghost.validate()

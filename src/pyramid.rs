@@ -53,7 +53,7 @@ pub fn halves(plane: Plane<u8>, least_side: usize) -> Vec<Plane<u8>> {
 }
 
 /// Returns every second pixel of every second row, without smoothing: the next octave of a scale space (Lowe 2004,
-/// section 3.3).
+/// section 3).
 pub fn every_second(plane: &Plane<f32>) -> Plane<f32> {
     let (width, height) = (plane.width().div_ceil(2), plane.height().div_ceil(2));
     Plane::from_rows(width, height, |y, row| {

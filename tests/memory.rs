@@ -43,7 +43,7 @@ fn bracket_in_memory_is_merged_without_opening_a_file() {
     let limit = getrlimit(Resource::Nofile);
     setrlimit(Resource::Nofile, Rlimit { current: Some(0), ..limit }).expect("a limit");
     assert!(std::fs::File::open("Cargo.toml").is_err(), "files can still be opened");
-    let (merged, cancelled, refused) = pool.install(|| {
+    let (merged, cancelled, refused, too_bright) = pool.install(|| {
         let merged = pipeline::merge_bracket(bracket(), &Options::default(), &pipeline::unwatched);
         let cancel = |progress| match progress {
             Progress::Begins(Stage::Merge) => ControlFlow::Break(()),
@@ -51,12 +51,16 @@ fn bracket_in_memory_is_merged_without_opening_a_file() {
         };
         let cancelled = pipeline::merge_bracket(bracket(), &Options::default(), &cancel);
         let with_file = Options { outputs: vec!["out.exr".into()], ..Options::default() };
-        (merged, cancelled, pipeline::merge_bracket(bracket(), &with_file, &pipeline::unwatched))
+        let refused = pipeline::merge_bracket(bracket(), &with_file, &pipeline::unwatched);
+        let mut too_bright = Options::default();
+        too_bright.write.picture.adjust.brightness = 50.0;
+        (merged, cancelled, refused, pipeline::merge_bracket(bracket(), &too_bright, &pipeline::unwatched))
     });
     setrlimit(Resource::Nofile, limit).expect("the limit as it was");
 
     assert!(matches!(cancelled, Err(Error::Cancelled)), "{cancelled:?}");
     assert!(matches!(refused, Err(Error::Option { option: "outputs", .. })), "{refused:?}");
+    assert!(matches!(too_bright, Err(Error::Option { option: "--brightness", .. })), "{too_bright:?}");
     let merged = merged.expect("a result");
     for (frame, truth) in merged.report.frames.iter().zip([[3.0, -2.0], [0.0, 0.0], [-4.0, 1.0]]) {
         // The frame shows at x what the reference shows at x + truth.

@@ -105,7 +105,7 @@ impl Primaries {
     }
 }
 
-/// Decodes an sRGB value to linear, both 0..=1 (IEC 61966-2-1:1999, section 5.2).
+/// Decodes an sRGB value to linear, both 0..=1 (IEC 61966-2-1:1999, clause 5).
 pub fn srgb_to_linear(encoded: f64) -> f64 {
     if encoded <= 0.04045 { encoded / 12.92 } else { libm::pow((encoded + 0.055) / 1.055, 2.4) }
 }
@@ -345,7 +345,7 @@ mod tests {
     }
 
     /// If the ratio of the luminances before and after the adaptation were not clamped, XYZ (21, 0.8, 1.1) would become
-    /// RGB (18616, -6821, 2), because its luminance is 0.8 under one white and about 0 under the other.
+    /// RGB (916, -357, 41), because its luminance is 0.8 under one white and nearly 0 under the other.
     #[test]
     fn impossible_colours_keep_their_luminance_in_xyz() {
         let (neutral, weights) = (NeutralXyz::of(&Primaries::BT2020), Primaries::BT2020.luminance());

@@ -1,7 +1,8 @@
 //! Reads the header of a photograph without decoding its pixels.
 //!
 //! In: a path. Out: a [`Header`]: the size that the decoder would return, camera, time, exposure, and bracketing data.
-//! Cost: 0.1 ms; 10 to 60 kB are read, with seeks. Source: EXIF 2.32, sections 4.6.4 and 4.6.5. Canon's maker note
+//! Cost: 0.1 ms; 10 to 60 kB are read, with seeks. (The chunks of a PNG may be short; then
+//! the whole file is read.) Source: EXIF 2.32, sections 4.6.4 and 4.6.5. Canon's maker note
 //! contains the position in an automatic bracket and the serial number: P. Harvey's ExifTool, "Canon Tags".
 
 use super::Capture;
@@ -35,7 +36,7 @@ pub struct Header {
     pub width: usize,
     /// Height in pixels, orientation applied.
     pub height: usize,
-    /// Bits per sample: 8 or 16.
+    /// Bits per sample: 8 or 16; 32 in a float TIFF that hdralign wrote.
     pub depth: u8,
     /// Make and model as one text.
     pub camera: Option<String>,

@@ -90,7 +90,7 @@ pub struct Capture {
     pub make: Option<String>,
     /// EXIF Model.
     pub model: Option<String>,
-    /// EXIF DateTimeOriginal, as `YYYY:MM:DD HH:MM:SS`.
+    /// EXIF DateTimeOriginal or else DateTime, as `YYYY:MM:DD HH:MM:SS`.
     pub date: Option<String>,
     /// Time of the exposure, to the precision that the camera writes.
     pub taken: Option<header::Moment>,
@@ -187,7 +187,7 @@ impl Frame {
     /// [`Error::Scratch`] where the frame is on disk and cannot be read.
     ///
     /// # Panics
-    /// If the rows are outside the frame.
+    /// If the rows are outside the frame: here, or when the values of the window are used.
     pub fn window(&self, rows: Range<usize>) -> Result<Window<'_>> {
         self.store.window((self.width, self.height), rows)
     }

@@ -214,12 +214,12 @@ pub enum Warning {
         /// The profile of the reference.
         kept: String,
     },
-    /// A part of a file could not be read; the pixels are not affected.
+    /// A part of a file was not read, was assumed, or was changed, such as metadata or pixels that are not numbers.
     #[error("{}: {detail}", path.display())]
     Metadata {
-        /// The frame.
+        /// The file.
         path: PathBuf,
-        /// The ignored part.
+        /// What was found, and what was done.
         detail: String,
     },
     /// The user gave an option that acts on radiance only, and frames are fused without radiance.

@@ -252,8 +252,8 @@ pub(crate) fn order_bits(bytes: &mut [u8]) {
 
 /// Sets the photometric interpretation of the first picture to grey, and returns the original value. The `tiff` crate
 /// then decodes all samples as they are stored, whatever their meaning and number, and applies the predictor to the
-/// right samples. Without this change, the crate cannot read palettes, LogLuv and grey with alpha, and reads extra
-/// samples incorrectly. If the directory is damaged, nothing is changed, and the crate will report the damage.
+/// right samples. Without this change, the crate cannot read palettes and LogLuv, and reads extra samples
+/// incorrectly. If the directory is damaged, nothing is changed, and the crate will report the damage.
 pub(crate) fn as_grey(bytes: &mut [u8]) -> Option<u16> {
     let mut file = Directories::of(Cursor::new(&*bytes))?;
     let (at, word) = file.offset();

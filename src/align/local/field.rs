@@ -33,10 +33,10 @@ const LEAST_CELLS: usize = 16;
 /// visible from 2 px on; the value is less, because a cell at an edge of depth measures the mean of two displacements.
 const DISPLACED_PX: f64 = 1.5;
 
-/// Unless clearly more than this share of the cells are displaced, the displaced cells count as 0 in the root mean
-/// square. Such a small part of the picture is more likely a thing that moved, or a wrong match, than an effect of
-/// depth.
-const LEAST_DISPLACED: f64 = 0.01;
+/// Unless clearly more than this share of the cells have a significant displacement, the root mean square is 0. Unless
+/// clearly more than this share are displaced by [`DISPLACED_PX`], these do not count in it. Such a small part of the
+/// picture is more likely a thing that moved, or a wrong match, than an effect of depth. Measured on rendered brackets.
+const LEAST_SHARE: f64 = 0.015;
 /// If the root mean square displacement is at least this, in pixels of the full size, the mode `auto` measures the
 /// displacements of a frame that moved on a finer level, if there is one, and searches for the dominant motion.
 const LEAST_MISFIT_PX: f64 = 0.15;
@@ -73,8 +73,8 @@ pub(crate) struct Misfit {
     /// large if few cells are known, as in a dark frame.
     pub(crate) displaced_surely: f64,
     /// Root mean square displacement over the picture, minus the part that is due to [`PEAK_BIAS`]. Each cell counts
-    /// with the area that it stands for. Displacements that are not significant count as 0. If `displaced_surely` is
-    /// less than [`LEAST_DISPLACED`], the displaced cells count as 0, too.
+    /// with the area that it stands for. Displacements that are not significant, or that too few cells have, count as 0
+    /// (see [`LEAST_SHARE`]).
     pub(crate) rms_px: f64,
 }
 
@@ -172,13 +172,16 @@ impl LocalField {
         let still = self.matches.still();
         let still = if still as f64 <= MOST_STILL * (self.cells.len() + still) as f64 { 0 } else { still };
         let all = (self.cells.len() + still) as f64;
-        let fraction = (displaced.len() + still) as f64 / all;
         let independent = (all / self.matches.overlap().pow(2) as f64).max(1.0);
-        let displaced_surely = (fraction - (fraction * (1.0 - fraction) / independent).sqrt()).max(0.0);
-        let most_px = if displaced_surely < LEAST_DISPLACED { DISPLACED_PX } else { f64::INFINITY };
-        let counting = self.lengths_px().filter(|&(px, _)| px < most_px);
+        // A share, minus its standard error.
+        let surely = |share: f64| (share - (share * (1.0 - share) / independent).sqrt()).max(0.0);
+        let fraction = (displaced.len() + still) as f64 / all;
+        let displaced_surely = surely(fraction);
+        let most_px = if displaced_surely < LEAST_SHARE { DISPLACED_PX } else { f64::INFINITY };
+        let counting: Vec<(f64, f64)> = self.lengths_px().filter(|&(px, _)| px < most_px).collect();
+        let is_counted = surely(counting.len() as f64 / all) >= LEAST_SHARE;
         // The mean area of a cell is 1.
-        let squares = counting.map(|(px, area)| area * px * px).sum::<f64>();
+        let squares = if is_counted { counting.iter().map(|(px, area)| area * px * px).sum::<f64>() } else { 0.0 };
         let bias_px = self.scale() * PEAK_BIAS;
         Misfit {
             rms_px: (squares / all - bias_px * bias_px).max(0.0).sqrt(),

@@ -18,8 +18,8 @@ use std::sync::OnceLock;
 /// Side of a patch, in pixels of its level. In a photograph of 1 megapixel, this is 32 pixels of the full size, and
 /// half of that on the next finer level.
 const SIDE: usize = 16;
-/// Distance of the patches from the border of the picture, in pixels of the level: the match of a patch is measured with
-/// the correlations at the eight shifts around it, and interpolation needs one pixel more.
+/// Distance of the patches from the border of the picture, in pixels of the level: the match of a patch is measured
+/// with the correlations at the eight shifts around it, and interpolation needs one pixel more.
 const BORDER: usize = 2;
 /// Largest displacement that is searched, as a share of the long side. Depth displaces near objects by up to 2 %; the
 /// rest is for the error of the transform.
@@ -238,15 +238,21 @@ impl<'a> PatchSearch<'a> {
         Some(Match { shift, found })
     }
 
-    /// Whether the patch with this centre stayed at the same pixels, although the transform moves it. `best` and `shift`
-    /// are the correlation and the shift of its match.
+    /// Whether the patch with this centre stayed at the same pixels, although the transform moves it. `best` and
+    /// `shift` are the correlation and the shift of its match.
     fn is_still(&self, pattern: &Pattern, centre: [f64; 2], (best, shift): (f32, Shift)) -> bool {
         let (u, v) = map(&self.back, centre[0], centre[1]);
         let away = [u - centre[0], v - centre[1]];
         if away[0] * away[0] + away[1] * away[1] < LEAST_MOTION * LEAST_MOTION {
             return false;
         }
-        let is_here = (away[0] - shift.0 as f64).abs() <= 1.0 && (away[1] - shift.1 as f64).abs() <= 1.0;
+        let shift = [shift.0 as f64, shift.1 as f64];
+        let is_unmoved = |axis: usize| (away[axis] - shift[axis]).abs() <= 1.0;
+        // A sensor's noise may be the same along each column, or along each row. Such a pattern matches wherever it is
+        // shifted along itself; the scene then decides where, and it is where the transform expects it.
+        let is_line =
+            |axis: usize| is_unmoved(axis) && away[axis].abs() >= LEAST_MOTION && shift[1 - axis].abs() <= 1.0;
+        let is_here = (is_unmoved(0) && is_unmoved(1)) || is_line(0) || is_line(1);
         let size = (self.both.reference.width(), self.both.reference.height());
         let unmoved = || Warped::new(&self.both.frame, &Matrix3::identity(), size, 0);
         let still = || pattern.correlation(self.unmoved.get_or_init(unmoved), (0, 0));

@@ -104,7 +104,7 @@ pub(super) fn head<R: Read + Seek>(reader: &mut BufReader<R>) -> Result<Found, R
         let mut head = [0; 8];
         let read = reader.read_exact(&mut head);
         // EXIF may follow the image data, so all chunks are read. If the file is cut off after its size, the data found
-        // so far is returned.
+        // so far is returned, unless a chunk with text or EXIF is incomplete.
         let is_end = read.is_err() || &head[4..] == b"IEND";
         match (read, found.take()) {
             (_, Some(so_far)) if is_end => return Ok(Found { exif: so_far.exif.or(raw_profile), ..so_far }),

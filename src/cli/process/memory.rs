@@ -34,7 +34,8 @@ fn in_kilobytes(text: &str, name: &str) -> Option<u64> {
     Some(1024 * line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?)
 }
 
-/// Smallest memory limit that is accepted, in bytes: the memory that the program needs without photographs.
+/// Smallest memory limit that is accepted, in bytes. The program takes up to half of it with photographs of one
+/// megapixel.
 const LEAST: u64 = 64_000_000;
 
 /// Parses a number of bytes, such as `300000000`, `256MB`, `256MiB` or `1.5GB`.
@@ -58,7 +59,7 @@ pub fn size(text: &str) -> Result<u64, String> {
         return Err(wrong());
     }
     if (bytes as u64) < LEAST {
-        return Err(format!("the program itself takes about {} MB; give that or more", LEAST / 1_000_000));
+        return Err(format!("the program needs at least {} MB; give that or more", LEAST / 1_000_000));
     }
     Ok(bytes as u64)
 }

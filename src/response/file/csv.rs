@@ -165,9 +165,9 @@ mod tests {
         let mid = (0..3).map(|c| curve.ln_exposure(c)[MID]).sum::<f64>() / 3.0;
         for (c, z) in (0..3).flat_map(|c| (0..CODES).map(move |z| (c, z))) {
             let (was, is) = (curve.ln_exposure(c)[z] - mid, back.ln_exposure(c)[z]);
-            // Rounding to nine decimals is an error of 0.5e-9, which is 2.8e-5 of the darkest value, exp(g - white) =
-            // 1.8e-5.
-            assert!((was - is).abs() < 3e-5, "{c} {z}: {was} {is}");
+            // Rounding to nine decimals is an error of 0.5e-9, which is 7e-6 of the darkest value, exp(g - white) =
+            // 7e-5.
+            assert!((was - is).abs() < 1e-5, "{c} {z}: {was} {is}");
         }
         assert_eq!(text.lines().filter(|l| l.split_whitespace().count() == 7 && !l.starts_with('#')).count(), CODES);
         let columns = |text: &str| {

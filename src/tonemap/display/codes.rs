@@ -3,7 +3,7 @@
 //! In: linear RGB; 1 is display white. Out: code values of 8 or 16 bits, rounded to nearest, by the transfer function
 //! of the picture's [`Colours`]; or, if the picture will be resized later, the linear light itself. Cost: 2 ns per
 //! value. The tables are computed once for each transfer function and have 70 kB. Source: IEC 61966-2-1:1999 (sRGB),
-//! section 4.3; SMPTE EG 432-1 and Apple's Display P3, which has sRGB's transfer function; Adobe RGB (1998) Color Image
+//! clause 5; SMPTE EG 432-1 and Apple's Display P3, which has sRGB's transfer function; Adobe RGB (1998) Color Image
 //! Encoding, section 4.3.4.
 
 use crate::bracket::colour::{Conversion, Curve, Primaries, Profile, linear_to_srgb, srgb_to_linear};

@@ -2,7 +2,7 @@
 //! hue.
 //!
 //! In: radiance RGB, or linear RGB relative to display white. Out: converted colours. Cost: some nanoseconds a pixel.
-//! Source: IEC 61966-2-1:1999 (sRGB), section 4.3.
+//! Source: IEC 61966-2-1:1999 (sRGB), clause 5.
 
 pub mod codes;
 pub(crate) mod oklab;

@@ -20,7 +20,7 @@ use scale_space::ScaleSpace;
 /// Settings of the detector. The defaults are those of the paper, where it states values.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SiftOptions {
-    /// Number of scale intervals per octave, called s in section 3.3.
+    /// Number of scale intervals per octave, called s in section 3.
     pub intervals: usize,
     /// Standard deviation of the Gaussian at the first scale of an octave, in pixels (section 3.3).
     pub sigma: f64,

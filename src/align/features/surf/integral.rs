@@ -1,4 +1,4 @@
-//! The integral image, which gives the sum over a box of any size from only four values (Bay 2006, section 3.1).
+//! The integral image, which gives the sum over a box of any size from only four values (Bay 2006, section 3).
 
 use crate::plane::Plane;
 

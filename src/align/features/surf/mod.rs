@@ -21,9 +21,9 @@ use rayon::prelude::*;
 /// Settings of the detector. The defaults are those of the paper, where it states values.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SurfOptions {
-    /// Number of octaves. After four octaves, keypoints become rare (section 3.2).
+    /// Number of octaves. After four octaves, keypoints become rare (section 3).
     pub octaves: usize,
-    /// Whether to double the image first, to find features of the smallest scale (section 3.2).
+    /// Whether to double the image first, to find features of the smallest scale (section 3).
     pub double: bool,
     /// Least determinant of the Hessian at an extremum, for grey values scaled to 0..=1.
     pub contrast: f64,

@@ -1,7 +1,7 @@
 //! Colour profile of a PNG from its chunks: code points, an ICC profile, or primaries and an exponent.
 //!
 //! In: the chunks of the header. Out: an ICC profile, or none for sRGB. Cost: negligible. Source: W3C, Portable Network
-//! Graphics (third edition), section 12.1: cICP takes precedence over iCCP, iCCP over sRGB, and sRGB over cHRM and
+//! Graphics (third edition): cICP takes precedence over iCCP, iCCP over sRGB, and sRGB over cHRM and
 //! gAMA; ITU-T H.273, tables 2 and 3, for the numbers of cICP.
 
 use crate::bracket::colour::{Curve, Primaries, Profile};

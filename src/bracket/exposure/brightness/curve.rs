@@ -1,8 +1,8 @@
 //! Fits camera curves to pairs of frames, and computes the exposure steps that follow from each curve.
 //!
 //! In: the matched pixel values of each pair of frames. Out: for each kind of curve, its likelihood, and the steps that
-//! follow from its best curve, with their uncertainties. Cost: some ten sums over the matches of all pairs for each
-//! kind.
+//! follow from its best curve, with their uncertainties. Cost: some hundred sums over the matches of all pairs for
+//! each kind.
 //!
 //! A curve is the log2 of the exposure as a function of the pixel value. Its slope is the slope of the sRGB curve times
 //! exp(p), where p is a cubic polynomial of the pixel value, given by four Legendre terms. Matches never determine the
