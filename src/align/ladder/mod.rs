@@ -53,7 +53,7 @@ pub(crate) struct Search<'a> {
     pub(crate) grey: &'a (dyn Fn(usize) -> Plane<u8> + Sync),
     /// Brightness and detail of each frame.
     pub(crate) contents: &'a [Content],
-    /// The capture time of each frame, see [`capture_times`](camera_track::capture_times).
+    /// The capture time of each frame, see [`capture_times`].
     pub(crate) capture_times: &'a [f64],
     /// Largest number of frames that are compared with the reference at the same time.
     pub(crate) compared_at_once: usize,

@@ -38,7 +38,8 @@ const DISPLACED_PX: f64 = 1.5;
 /// picture is more likely a thing that moved, or a wrong match, than an effect of depth. Measured on rendered brackets.
 const LEAST_SHARE: f64 = 0.015;
 /// If the root mean square displacement is at least this, in pixels of the full size, the mode `auto` measures the
-/// displacements of a frame that moved on a finer level, if there is one, and searches for the dominant motion.
+/// displacements of a frame that moved on a finer level, if there is one, and searches for the dominant motion. Here,
+/// each displacement counts as at most [`DISPLACED_PX`], so that few things that moved far are no reason.
 const LEAST_MISFIT_PX: f64 = 0.15;
 /// If the share of the cells that are displaced, minus its standard error, is this large, the confidence is halved. The
 /// aim is a confidence below one half if 3 % of the picture are displaced. The value is smaller than 3 %, because the
@@ -114,7 +115,7 @@ impl LocalField {
     /// Returns the field of the next finer level, if there is one, and if the transform does not fit everywhere. On
     /// that level, fewer patches contain two motions.
     pub(crate) fn on_finer_level(&self, pair: &FramePair) -> Option<Self> {
-        if self.misfit.rms_px < LEAST_MISFIT_PX {
+        if !self.may_be_compromise() {
             return None;
         }
         let h = off_level(&self.h, self.matches.level);
@@ -125,7 +126,7 @@ impl LocalField {
     /// the error estimate of the dominant motion in pixels of the full size. None if the present transform fits nearly
     /// as much of the picture.
     pub(crate) fn dominant(&self) -> Option<(Self, f64)> {
-        if self.misfit.rms_px < LEAST_MISFIT_PX {
+        if !self.may_be_compromise() {
             return None;
         }
         let found = dominant::search(&self.cells, &self.h, self.size, self.scale())?;
@@ -160,6 +161,22 @@ impl LocalField {
         self.misfit
     }
 
+    /// Whether the transform may be a compromise between several motions: whether the root mean square displacement, with
+    /// each displacement counted as at most [`DISPLACED_PX`], is at least [`LEAST_MISFIT_PX`].
+    fn may_be_compromise(&self) -> bool {
+        let capped = self.lengths_px().map(|(px, area)| (px.min(DISPLACED_PX), area));
+        self.cells.len() >= LEAST_CELLS && self.rms_px(capped, self.cells.len() as f64) >= LEAST_MISFIT_PX
+    }
+
+    /// Returns the root mean square of `lengths`, each with the area of its cell, over `all` cells, minus the part that is
+    /// due to [`PEAK_BIAS`].
+    fn rms_px(&self, lengths: impl Iterator<Item = (f64, f64)>, all: f64) -> f64 {
+        // The mean area of a cell is 1.
+        let squares: f64 = lengths.map(|(px, area)| area * px * px).sum();
+        let bias_px = self.scale() * PEAK_BIAS;
+        (squares / all - bias_px * bias_px).max(0.0).sqrt()
+    }
+
     /// Computes the [`misfit`](Self::misfit).
     fn measured(&self) -> Misfit {
         if self.cells.len() < LEAST_CELLS {
@@ -180,11 +197,8 @@ impl LocalField {
         let most_px = if displaced_surely < LEAST_SHARE { DISPLACED_PX } else { f64::INFINITY };
         let counting: Vec<(f64, f64)> = self.lengths_px().filter(|&(px, _)| px < most_px).collect();
         let is_counted = surely(counting.len() as f64 / all) >= LEAST_SHARE;
-        // The mean area of a cell is 1.
-        let squares = if is_counted { counting.iter().map(|(px, area)| area * px * px).sum::<f64>() } else { 0.0 };
-        let bias_px = self.scale() * PEAK_BIAS;
         Misfit {
-            rms_px: (squares / all - bias_px * bias_px).max(0.0).sqrt(),
+            rms_px: if is_counted { self.rms_px(counting.into_iter(), all) } else { 0.0 },
             displaced_surely,
             displaced: Displaced { fraction, px: median(displaced).unwrap_or(0.0) },
         }

@@ -1,7 +1,7 @@
 //! Chooses the exposures of a bracket: from EXIF where it is consistent, else from the pixels.
 //!
 //! In: exposure tags and brightness of all frames. Out: an [`Exposure`] for each frame, and warnings. Cost: that of
-//! [`brightness`](crate::bracket::exposure::brightness) for frames whose steps are estimated from the pixels.
+//! [`brightness`] for frames whose steps are estimated from the pixels.
 //!
 //! EXIF is checked frame by frame. An exposure in EXIF is used if it is consistent with the exposures of the other
 //! frames. If it is missing or contradicts them, the step from another frame is estimated from the pixels. That frame
