@@ -41,6 +41,9 @@ const LEAST_SHARE: f64 = 0.015;
 /// displacements of a frame that moved on a finer level, if there is one, and searches for the dominant motion. Here,
 /// each displacement counts as at most [`DISPLACED_PX`], so that few things that moved far are no reason.
 const LEAST_MISFIT_PX: f64 = 0.15;
+/// The finer level is used, and the dominant motion is searched, only if clearly more than this share of the cells have
+/// a significant displacement: the dominant motion must fit as much more of the picture.
+const LEAST_MOVED: f64 = 0.01;
 /// If the share of the cells that are displaced, minus its standard error, is this large, the confidence is halved. The
 /// aim is a confidence below one half if 3 % of the picture are displaced. The value is smaller than 3 %, because the
 /// measured share is too small at edges of depth. Measured on rendered scenes.
@@ -161,15 +164,26 @@ impl LocalField {
         self.misfit
     }
 
-    /// Whether the transform may be a compromise between several motions: whether the root mean square displacement, with
-    /// each displacement counted as at most [`DISPLACED_PX`], is at least [`LEAST_MISFIT_PX`].
+    /// Whether the transform may be a compromise between several motions: whether clearly more than [`LEAST_MOVED`] of
+    /// the cells have a significant displacement, and the root mean square displacement, with each displacement counted
+    /// as at most [`DISPLACED_PX`], is at least [`LEAST_MISFIT_PX`].
     fn may_be_compromise(&self) -> bool {
-        let capped = self.lengths_px().map(|(px, area)| (px.min(DISPLACED_PX), area));
-        self.cells.len() >= LEAST_CELLS && self.rms_px(capped, self.cells.len() as f64) >= LEAST_MISFIT_PX
+        let all = self.cells.len() as f64;
+        let capped: Vec<(f64, f64)> = self.lengths_px().map(|(px, area)| (px.min(DISPLACED_PX), area)).collect();
+        self.cells.len() >= LEAST_CELLS
+            && self.surely(capped.len() as f64, all) >= LEAST_MOVED
+            && self.rms_px(capped.into_iter(), all) >= LEAST_MISFIT_PX
     }
 
-    /// Returns the root mean square of `lengths`, each with the area of its cell, over `all` cells, minus the part that is
-    /// due to [`PEAK_BIAS`].
+    /// Returns the share of `count` in `all` cells, minus the standard error of this share.
+    fn surely(&self, count: f64, all: f64) -> f64 {
+        let independent = (all / self.matches.overlap().pow(2) as f64).max(1.0);
+        let share = count / all;
+        (share - (share * (1.0 - share) / independent).sqrt()).max(0.0)
+    }
+
+    /// Returns the root mean square of `lengths`, each with the area of its cell, over `all` cells, minus the part that
+    /// is due to [`PEAK_BIAS`].
     fn rms_px(&self, lengths: impl Iterator<Item = (f64, f64)>, all: f64) -> f64 {
         // The mean area of a cell is 1.
         let squares: f64 = lengths.map(|(px, area)| area * px * px).sum();
@@ -189,18 +203,15 @@ impl LocalField {
         let still = self.matches.still();
         let still = if still as f64 <= MOST_STILL * (self.cells.len() + still) as f64 { 0 } else { still };
         let all = (self.cells.len() + still) as f64;
-        let independent = (all / self.matches.overlap().pow(2) as f64).max(1.0);
-        // A share, minus its standard error.
-        let surely = |share: f64| (share - (share * (1.0 - share) / independent).sqrt()).max(0.0);
-        let fraction = (displaced.len() + still) as f64 / all;
-        let displaced_surely = surely(fraction);
+        let displaced_or_still = (displaced.len() + still) as f64;
+        let displaced_surely = self.surely(displaced_or_still, all);
         let most_px = if displaced_surely < LEAST_SHARE { DISPLACED_PX } else { f64::INFINITY };
         let counting: Vec<(f64, f64)> = self.lengths_px().filter(|&(px, _)| px < most_px).collect();
-        let is_counted = surely(counting.len() as f64 / all) >= LEAST_SHARE;
+        let is_counted = self.surely(counting.len() as f64, all) >= LEAST_SHARE;
         Misfit {
             rms_px: if is_counted { self.rms_px(counting.into_iter(), all) } else { 0.0 },
             displaced_surely,
-            displaced: Displaced { fraction, px: median(displaced).unwrap_or(0.0) },
+            displaced: Displaced { fraction: displaced_or_still / all, px: median(displaced).unwrap_or(0.0) },
         }
     }
 }
