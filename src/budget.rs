@@ -56,8 +56,8 @@ const FUSION_3: u64 = 12 + 16 + 36 + 48;
 /// Three times the bytes per pixel of the pyramid of one channel (16 / 3). Up to three of these pyramids are computed
 /// in parallel.
 const CHANNEL_3: u64 = 16;
-/// Bytes per drawing of `inspect`. The pictures in a drawing have at most 1600 x 1600 pixels, and its margins and text
-/// few. There are four bytes per pixel to draw, three for the file, and the PNG.
+/// Bytes per drawing of `inspect`. The pictures in a drawing have at most 1600 x 1600 pixels, and its margins
+/// and text add few. There are four bytes per pixel to draw, three for the file, and the PNG.
 const SHEET: u64 = 24 << 20;
 /// Largest number of drawings that are computed at a time, one per thread. It is the number of drawings of one frame.
 const SHEETS: u64 = 6;

@@ -31,8 +31,10 @@ pub fn escape(text: &str) -> String {
             | '\u{200b}'
             | '\u{200e}'..='\u{200f}'
             | '\u{202a}'..='\u{202e}'
-            | '\u{2060}'..='\u{206f}' => out.push('\u{fffd}'),
-            '\u{feff}' | '\u{fffe}' | '\u{ffff}' => out.push('\u{fffd}'),
+            | '\u{2060}'..='\u{206f}'
+            | '\u{feff}'
+            | '\u{fffe}'
+            | '\u{ffff}' => out.push('\u{fffd}'),
             c if c.is_control() => out.push('\u{fffd}'),
             c => out.push(c),
         }

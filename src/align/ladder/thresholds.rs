@@ -86,5 +86,3 @@ pub(crate) const INFERRED_CONFIDENCE: f64 = 0.6;
 /// Transforms are inferred only from frames with at least this confidence, 0..=1: their transform is more likely right
 /// than wrong.
 pub(super) const INFERRING_CONFIDENCE: f64 = 0.5;
-
-// The local check.

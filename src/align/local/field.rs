@@ -5,8 +5,8 @@
 //!
 //! Each match is described by a paraboloid: its peak is the displacement, and its curvature is the precision in each
 //! direction. The sum of the paraboloids of neighbouring patches describes a larger patch. A match that differs from
-//! the sum around it has a small weight in all sums. The noise is estimated from the scatter of the
-//! matches about the field. Therefore a displacement in a dark or noisy frame must be larger to be significant.
+//! the sum around it has a small weight in all sums. The noise is estimated from the scatter of the matches about the
+//! field. Therefore a displacement in a dark or noisy frame must be larger to be significant.
 
 use crate::align::agreement::pattern::PEAK_BIAS;
 use crate::align::agreement::{MOST_STILL, TileDisplacement};

@@ -91,6 +91,26 @@ fn caption_that_does_not_move_with_the_scene_is_not_displaced() {
     assert!(unmoved.misfit().displaced.fraction > 0.7, "{:?}", unmoved.misfit());
 }
 
+/// Noise that is the same along each column, over a scene of horizontal grain: a patch also matches where its columns
+/// stayed, because the grain is the same along each row.
+#[test]
+fn columns_that_do_not_move_with_the_scene_are_not_displaced() {
+    let scene = Scene::new(57);
+    let truth = Transform::Rigid { dx: 12.0, dy: -9.0, angle: 0.0 };
+    // On the left there is only grain, on the right the scene itself.
+    let radiance = |x: f64, y: f64| scene.radiance(if x < 180.0 { 0.02 * x } else { x }, y);
+    let take = |transform, ev| {
+        let grey = photograph(SIZE, transform, Shot::at(ev), radiance);
+        let gain = |x: usize| 1.0 + 0.2 * (uniform(5, x as i64 / 2, 0) as f32 - 0.5);
+        GreyPyramid::new(Plane::from_rows(SIZE.0, SIZE.1, |y, row| {
+            row.iter_mut().zip(grey.row(y)).enumerate().for_each(|(x, (v, &g))| *v = (gain(x) * f32::from(g)) as u8);
+        }))
+    };
+    let (reference, frame) = (take(&Transform::Identity, 0.0), take(&truth, 0.5));
+    let found = LocalField::new(&FramePair::new(&reference, &frame, &truth), &truth).misfit();
+    assert!(found.displaced.fraction < 0.01 && found.rms_px < 0.15, "{found:?}");
+}
+
 /// A picture that is large enough for a finer level, with bars of 40 px in front of the scene, 200 px apart, that move
 /// by 6 px more than the scene. A cell uses the patches in a square around it, whose side is 96 px on the measured
 /// level and 48 px on the finer one.
