@@ -120,7 +120,7 @@ mod tests {
             assert!(size(wrong).unwrap_err().contains("500MB"), "{wrong}");
         }
         for little in ["1MB", "2k", "63.9MB", "5"] {
-            assert!(size(little).unwrap_err().contains("takes about 64 MB"), "{little}");
+            assert!(size(little).unwrap_err().contains("needs at least 64 MB"), "{little}");
         }
     }
 }
