@@ -44,7 +44,8 @@ pub enum Error {
     Decode {
         /// The file.
         path: PathBuf,
-        /// The format, detected from the content: `JPEG`, `PNG`, `TIFF`, `OpenEXR` or `Radiance HDR`.
+        /// The format, detected from the content: `JPEG`, `PNG`, `TIFF`, `OpenEXR` or `Radiance HDR`;
+        /// `image` for an image in memory.
         format: &'static str,
         /// What is wrong, and what to do.
         reason: String,

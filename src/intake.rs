@@ -1,6 +1,6 @@
 //! Reading of complete files into memory.
 //!
-//! In: a path, and the largest size. Out: all bytes of the file at one moment. It is an error if the file is written,
+//! In: a path, and the largest size. Out: all bytes of the file at one moment. It is an error if the file is written
 //! or truncated while it is read. (If another file gets its name meanwhile, the old file is read.) Cost: one read.
 //! Pipes are read to their end or to the largest size.
 
@@ -10,8 +10,8 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-/// Largest size of response files, files of transforms and reports, in bytes. Those that hdralign writes have
-/// about 2 kB per photograph.
+/// Largest size of response files, files of transforms and reports, in bytes. A report that
+/// hdralign writes has about 2 kB per photograph, a response file 20 to 30 kB.
 pub(crate) const MOST_OF_A_TEXT: u64 = 64 << 20;
 
 /// Largest size of a plan of batch jobs, in bytes. One job takes about 1 kB.

@@ -1,7 +1,7 @@
 //! The report of `tonemap`, for programs.
 //!
 //! In: a radiance map as it was read, and how it was processed. Out: JSON in a public format, with the version
-//! [`SCHEMA`] and units in the keys. Cost: one to four passes over the pixels.
+//! [`SCHEMA`] and units in the keys. Cost: two or three passes over the pixels.
 
 use super::{ColourReport, Times, WarningReport};
 use crate::merge::radiance::calibration::{Factor, Unit};

@@ -31,7 +31,7 @@ pub(crate) const LEAST_SIDE: usize = 8;
 /// Largest share of tiles that may be ignored because they did not move although the transform moves them (captions,
 /// watermarks, dust). If the share is larger, these tiles may be the scene, and the transform may follow something that
 /// moved; then they count as disagreeing.
-pub(crate) const MOST_STILL: f64 = 1.0 / 3.0;
+pub(crate) const MOST_STILL: f64 = 0.5;
 /// Search range of a tile around its position, in pixels in each direction along each axis.
 const REACH: isize = 3;
 
@@ -39,12 +39,12 @@ const REACH: isize = 3;
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Agreement {
     /// Number of tiles whose best match is at the position given by the transform (at most 1.5 pixels of the compared
-    /// planes away), or hardly better than the match at this position.
+    /// planes away), or hardly better than the match at this position, which must have a correlation of at least 0.4.
     pub agreeing: usize,
     /// Number of tiles with enough structure whose best match is at another position, or that match nowhere.
     pub disagreeing: usize,
     /// Number of tiles that are uniform, too dark, too bright, or outside the frame; also of faint tiles that match
-    /// nowhere, and of tiles that did not move with the scene (up to a third of the tiles).
+    /// nowhere, and of tiles that did not move with the scene (up to half of the tiles).
     pub undecided: usize,
     /// Number of cells of a 3 x 3 grid over the picture that contain an agreeing tile, 0..=9.
     pub parts: usize,

@@ -34,8 +34,9 @@ const LEAST_PATCHES: usize = 6;
 const STRIDE: isize = 2;
 /// Smallest period that is detected, in pixels of the examined level.
 const LEAST: isize = 6;
-/// A shift is a period only if the similarity under it (the median correlation of the patches) is at least this.
-const ALIKE: f64 = 0.9;
+/// A shift is a period only if the similarity under it (the median correlation of the patches) is at least this. Noise
+/// makes the similarity smaller than 1; at this value, the variance of the noise is 0.4 times that of the pattern.
+const ALIKE: f64 = 0.7;
 /// A shift is a period only if the dissimilarity under it (1 - similarity) is less than this multiple of the
 /// dissimilarity under half the shift.
 const NEARER: f64 = 0.5;
@@ -46,15 +47,16 @@ const LEAST_EVIDENCE: f64 = 0.2;
 /// Largest number of shifts that are confirmed and returned: those with the greatest similarity.
 const MOST: usize = 6;
 
-/// Returns the shifts, in pixels of the full size, under which `picture` matches itself; none if it does not repeat. Of
-/// a shift and its opposite, only one is returned.
+/// Returns the shifts, in pixels of the full size, under which `picture` matches itself; an empty list if it does not
+/// repeat, and none if it is too small or has too little detail to be examined. Of a shift and its opposite, only one is
+/// returned.
 ///
 /// `max_shift` is the largest shift that is searched, as a share of the long side.
-pub(crate) fn periods(picture: &GreyPyramid, max_shift: f64) -> Vec<(f64, f64)> {
+pub(crate) fn periods(picture: &GreyPyramid, max_shift: f64) -> Option<Vec<(f64, f64)>> {
     let level = level_within(picture, PIXELS);
     let (width, height) = picture.size(level);
     if width.min(height) < PATCHES * SIDE {
-        return Vec::new();
+        return None;
     }
     let pair = FramePair::new(picture, picture, &Transform::Identity);
     let both = pair.level(level);
@@ -69,6 +71,9 @@ pub(crate) fn periods(picture: &GreyPyramid, max_shift: f64) -> Vec<(f64, f64)> 
     };
     let clear = patches(LEAST_CONTRAST);
     let patches = if clear.len() < LEAST_PATCHES { patches(FAINT_CONTRAST) } else { clear };
+    if patches.len() < LEAST_PATCHES {
+        return None;
+    }
     let similarity = |(dx, dy): Shift| {
         let within =
             |at: usize, shift: isize, length: usize| at.checked_add_signed(shift).is_some_and(|at| at + SIDE <= length);
@@ -114,7 +119,7 @@ pub(crate) fn periods(picture: &GreyPyramid, max_shift: f64) -> Vec<(f64, f64)> 
     let scale = (1u64 << level) as f64;
     let mut periods: Vec<(f64, f64)> = Vec::new();
     if found.is_empty() {
-        return periods;
+        return Some(periods);
     }
     let least = LEAST_EVIDENCE * agreement(&pair, &Matrix3::identity()).agreeing as f64;
     for (_, (x, y)) in found.into_iter().take(MOST) {
@@ -122,7 +127,7 @@ pub(crate) fn periods(picture: &GreyPyramid, max_shift: f64) -> Vec<(f64, f64)> 
         let same = |a: &(f64, f64), b: &(f64, f64)| (a.0 - b.0).abs().max((a.1 - b.1).abs()) < scale * LEAST as f64;
         periods.extend(refined.filter(|found| periods.iter().chain([&(0.0, 0.0)]).all(|known| !same(known, found))));
     }
-    periods
+    Some(periods)
 }
 
 /// Returns the refined shift, in pixels of the full size, if tiles all over the picture match under it: the agreeing
@@ -153,24 +158,29 @@ mod tests {
     const SIZE: (usize, usize) = (480, 320);
     const REACH: f64 = 0.15;
 
-    fn taken(radiance: &(dyn Fn(f64, f64) -> f64 + Sync)) -> GreyPyramid {
-        GreyPyramid::new(photograph(SIZE, &Transform::Identity, Shot::at(0.0), radiance))
+    /// The periods of a photograph; none also if it has too little detail to be examined.
+    fn found(radiance: &(dyn Fn(f64, f64) -> f64 + Sync)) -> Vec<(f64, f64)> {
+        found_in(Shot::at(0.0), radiance)
+    }
+
+    fn found_in(shot: Shot, radiance: &(dyn Fn(f64, f64) -> f64 + Sync)) -> Vec<(f64, f64)> {
+        periods(&GreyPyramid::new(photograph(SIZE, &Transform::Identity, shot, radiance)), REACH).unwrap_or_default()
     }
 
     #[test]
     fn a_facade_repeats_and_a_landscape_does_not() {
         for seed in 1..6 {
             let scene = Scene::new(seed);
-            assert_eq!(periods(&taken(&|x, y| scene.radiance(x, y)), REACH), [], "{seed}");
+            assert_eq!(found(&|x, y| scene.radiance(x, y)), [], "{seed}");
             // A skyline is similar to itself under a small shift, the more so the smaller the shift. This is not a
             // period.
             let skyline = |x: f64, y: f64| if y < 150.0 + 0.1 * x { 4.0 } else { 0.1 * scene.radiance(x, y) };
-            assert_eq!(periods(&taken(&skyline), REACH), [], "{seed}");
+            assert_eq!(found(&skyline), [], "{seed}");
             let facade = |x: f64, y: f64| {
                 let is_wall = x > 60.0;
                 if is_wall { scene.radiance(x.rem_euclid(34.0), y.rem_euclid(41.0)) } else { scene.radiance(x, y) }
             };
-            let found = periods(&taken(&facade), REACH);
+            let found = found(&facade);
             // The shifts that are compared are two pixels apart.
             let has = |dx: f64, dy: f64| found.iter().any(|(x, y)| (x - dx).abs() <= 2.0 && (y - dy).abs() <= 2.0);
             assert!(has(34.0, 0.0) && has(0.0, 41.0), "{seed}: {found:?}");
@@ -181,7 +191,7 @@ mod tests {
     fn tiles_with_thin_joints_repeat() {
         let joint = |v: f64| (v - 0.1 * v.floor()).rem_euclid(27.0) < 2.0;
         let tiles = |x: f64, y: f64| if joint(x + 0.05 * y) || joint(y - 0.05 * x) { 0.4 } else { 1.0 };
-        assert_ne!(periods(&taken(&tiles), REACH), []);
+        assert_ne!(found(&tiles), []);
     }
 
     #[test]
@@ -190,19 +200,16 @@ mod tests {
         let scene = Scene::new(3);
         let plaster =
             |x: f64, y: f64| 1.0 + 0.03 * (scene.radiance(x.rem_euclid(34.0), y.rem_euclid(41.0)).log2() + 6.0);
-        let taken = |noise: f64, radiance: &(dyn Fn(f64, f64) -> f64 + Sync)| {
-            let shot = Shot { noise, ..Shot::at(0.0) };
-            GreyPyramid::new(photograph(SIZE, &Transform::Identity, shot, radiance))
-        };
-        assert_ne!(periods(&taken(0.2, &plaster), REACH), []);
-        assert_eq!(periods(&taken(1.5, &|_, _| 1.0), REACH), []);
+        let noisy = |noise: f64| Shot { noise, ..Shot::at(0.0) };
+        assert_ne!(found_in(noisy(0.2), &plaster), []);
+        assert_eq!(found_in(noisy(1.5), &|_, _| 1.0), []);
     }
 
     #[test]
-    fn uniform_picture_has_no_period() {
+    fn uniform_or_small_picture_cannot_be_examined() {
         for (width, height) in [(1, 1), (3, 200), (300, 200)] {
             let plain = GreyPyramid::new(crate::plane::Plane::filled(width, height, 77));
-            assert_eq!(periods(&plain, REACH), []);
+            assert_eq!(periods(&plain, REACH), None);
         }
     }
 }

@@ -61,7 +61,7 @@ fn plain_and_clipped_pictures_are_silent() {
     let found = agreement_of(&plain, &plain, &Transform::Identity);
     assert_eq!((found.agreeing, found.disagreeing, found.undecided), (0, 0, 160));
     assert_eq!(found.share(), 0.3);
-    // At +11 EV all pixels are clipped, at -11 EV nearly all are black.
+    // At +11 EV all pixels are clipped, at -11 EV nearly all are too dark.
     for ev in [11.0, -11.0] {
         let found =
             agreement_of(&taken(&Transform::Identity, 0.0), &taken(&Transform::Identity, ev), &Transform::Identity);

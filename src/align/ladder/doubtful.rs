@@ -11,7 +11,7 @@ use crate::align::ladder::candidate::Candidate;
 use crate::align::ladder::reduction::reduce;
 use crate::align::ladder::selection::{Candidates, estimate, is_acceptable, rejected, rejection_reason};
 use crate::align::ladder::starts::{by_alternatives, by_bitmaps, by_start, warped_to_reference};
-use crate::align::ladder::thresholds::{CORROBORATED_PX, LEAST_INLIERS, SAME_APART};
+use crate::align::ladder::thresholds::{CORROBORATED_PX, DECISIVE_NATS, LEAST_INLIERS, SAME_APART};
 use crate::align::refinement::FramePair;
 use crate::align::result::{FeatureCounts, Found, Placement};
 use crate::align::transform::{Transform, distance};
@@ -42,7 +42,9 @@ impl Target<'_> {
 }
 
 /// Largest number of times that the best candidate is shifted by a period. A wrong one may be several periods off.
-const MOST_PERIODS: usize = 4;
+const MOST_PERIODS: usize = 8;
+/// From a start that is at most this far from a candidate, refinement would only find this candidate again; in pixels.
+const KNOWN_PX: f64 = 0.5;
 
 impl Search<'_> {
     /// Places frame `i`, for which the bitmaps gave only the doubtful candidate `first`, or none.
@@ -113,17 +115,23 @@ impl Search<'_> {
     }
 
     /// Adds the candidates that the best one becomes when it is shifted by a period of the scene: they may match as well,
-    /// or better. If one of them is the best, it is shifted in turn.
+    /// or better. If one of them is the best and decisively better, it is shifted in turn. If more tiles disagree than agree even under the best
+    /// candidate, it is not shifted: it would only reach another wrong one.
     fn shift_by_periods(&self, i: usize, targets: &[Target], shared: &Shared, candidates: &mut Candidates) {
         let (width, height) = self.size();
         for _ in 0..MOST_PERIODS {
-            let Some((b, best)) = candidates.best() else { break };
-            let best = best.transform;
+            let Some((b, best)) = candidates.best().filter(|(_, c)| c.evidence() > 0.0) else { break };
+            let (best, tiles) = (best.transform, best.tiles.clone());
             let pair = targets[b].compare(&self.pyramids[i], &best);
             for start in shared.repetition.shifted(i, &best.matrix(width, height)) {
+                let is_known = |c: &Candidate| distance(&c.transform, &start, width, height) <= KNOWN_PX;
+                if candidates.any(b, is_known) {
+                    continue;
+                }
                 candidates.add(b, by_start(&pair, &start, 0).map(|c| targets[b].discount(c)));
             }
-            if candidates.best().is_some_and(|(_, c)| c.transform == best) {
+            // If no other is decisively better, further shifts would not make one unique.
+            if candidates.best().is_none_or(|(_, c)| c.tiles.distinction_from(&tiles) <= DECISIVE_NATS) {
                 break;
             }
         }

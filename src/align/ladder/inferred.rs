@@ -1,8 +1,9 @@
 //! Transforms inferred from the other frames of a bracket, for frames with too little detail.
 //!
 //! In: the placements of all frames. Out: the placements of frames with little detail, inferred from the motion of the
-//! camera between the other frames. Cost: at most two more checks by tiles, and a comparison with the neighbour
-//! in exposure at some tens of thousands of samples, for each such frame.
+//! camera between the other frames. Cost, for each such frame: at most two more checks by tiles, and a
+//! comparison with the neighbour in exposure at some tens of thousands of samples. A neighbour that moved is warped at
+//! full size for it.
 //!
 //! A frame that is nearly all black or white has little detail for alignment, but is often important: it may be the
 //! only one with unclipped lamps. If the camera stood still for the other frames, or moved little from one to the next,

@@ -197,7 +197,7 @@ impl Search<'_> {
         features::features(&self.pyramids[i], level, &self.options.detector(), self.options.mtb.exclusion)
     }
 
-    /// The homography that RANSAC finds from the matches, and the number of its inliers.
+    /// The homography that the robust estimator finds from the matches, and the number of its inliers.
     fn consensus(&self, reference: &FeatureSets, frame: &FeatureSets) -> Option<(Transform, usize)> {
         let to_full = level_to_full(measured_level(self.reference_pyramid()));
         let found = features::by_matches(reference, frame, &to_full, self.options)?;

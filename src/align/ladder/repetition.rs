@@ -1,8 +1,8 @@
 //! Scenes that repeat: if a transform is shifted by a period of the scene, the result matches as well, or nearly.
 //!
 //! In: the grey pyramids of a bracket. Out: the periods of the scene, and for a transform the shifted ones, from which
-//! further candidates are refined. Cost: that of [`periods`] for the reference; if the reference is dark, also for each
-//! frame with more exposure whose placement is not preset.
+//! further candidates are refined. Cost: that of [`periods`] for the reference; if the reference is dark or has little detail,
+//! also for each frame with more exposure, or for all frames, whose placement is not preset.
 
 use crate::align::agreement::periods;
 use crate::align::grey::GreyPyramid;
@@ -20,15 +20,19 @@ pub(super) struct Repetition {
 
 impl Repetition {
     /// Finds the periods of the reference. In a dark reference, noise and rounding may hide them, so the brighter frames
-    /// are examined too.
+    /// are examined too; if the reference has too little detail, for example because it is clipped, all frames.
     pub(super) fn find(search: &Search) -> Self {
         let reference = search.reference;
+        let of = |pyramid: &GreyPyramid| periods(pyramid, search.options.mtb.max_shift);
+        let of_reference = of(search.reference_pyramid());
         let is_dark = search.contents[reference].brightening_stops.is_some();
-        let is_examined = |i: usize| i == reference || (is_dark && i > reference && search.given[i].is_none());
-        let find = |(i, pyramid): (usize, &GreyPyramid)| {
-            if is_examined(i) { periods(pyramid, search.options.mtb.max_shift) } else { Vec::new() }
+        let is_examined = |i: usize| {
+            i != reference && search.given[i].is_none() && (of_reference.is_none() || (is_dark && i > reference))
         };
-        Repetition { reference, periods: search.pyramids.iter().enumerate().map(find).collect() }
+        let find = |(i, pyramid): (usize, &GreyPyramid)| if is_examined(i) { of(pyramid) } else { None };
+        let mut all: Vec<_> = search.pyramids.iter().enumerate().map(find).map(Option::unwrap_or_default).collect();
+        all[reference] = of_reference.unwrap_or_default();
+        Repetition { reference, periods: all }
     }
 
     /// Whether frame `i` or the reference matches itself under a shift.

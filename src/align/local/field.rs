@@ -27,7 +27,7 @@ const LEAST_KNOWN: f64 = 0.25;
 /// The displacement of a cell is significant only if at least this share of the matches around it agree with each
 /// other.
 const LEAST_AGREEING: f64 = 0.5;
-/// With fewer known cells than this, the misfit is 0.
+/// With fewer known cells than this, the misfit is 0, and neither the finer level nor the dominant motion is tried.
 const LEAST_CELLS: usize = 16;
 /// A cell counts as displaced if its displacement is at least this, in pixels of the full size. A double edge is
 /// visible from 2 px on; the value is less, because a cell at an edge of depth measures the mean of two displacements.
@@ -37,7 +37,7 @@ const DISPLACED_PX: f64 = 1.5;
 /// clearly more than this share are displaced by [`DISPLACED_PX`], these do not count in it. Such a small part of the
 /// picture is more likely a thing that moved, or a wrong match, than an effect of depth. Measured on rendered brackets.
 const LEAST_SHARE: f64 = 0.015;
-/// If the root mean square displacement is at least this, in pixels of the full size, the mode `auto` measures the
+/// Only if the root mean square displacement is at least this, in pixels of the full size, the mode `auto` measures the
 /// displacements of a frame that moved on a finer level, if there is one, and searches for the dominant motion. Here,
 /// each displacement counts as at most [`DISPLACED_PX`], so that few things that moved far are no reason.
 const LEAST_MISFIT_PX: f64 = 0.15;
@@ -164,8 +164,8 @@ impl LocalField {
         self.misfit
     }
 
-    /// Whether the transform may be a compromise between several motions: whether clearly more than [`LEAST_MOVED`] of
-    /// the cells have a significant displacement, and the root mean square displacement, with each displacement counted
+    /// Whether the transform may be a compromise between several motions: whether at least [`LEAST_CELLS`] cells are
+    /// known, clearly more than [`LEAST_MOVED`] of them have a significant displacement, and the root mean square displacement, with each displacement counted
     /// as at most [`DISPLACED_PX`], is at least [`LEAST_MISFIT_PX`].
     fn may_be_compromise(&self) -> bool {
         let all = self.cells.len() as f64;

@@ -66,7 +66,7 @@ pub(super) enum Kind {
     Other(&'static str),
 }
 
-/// Extensions of raw files: those that ExifTool lists, and `bay` and `dcs`.
+/// Extensions of raw files: most of those that ExifTool lists, and `ari`, `bay` and `dcs`.
 const RAW: [&str; 32] = [
     "3fr", "ari", "arw", "bay", "cr2", "cr3", "crw", "dcr", "dcs", "dng", "erf", "fff", "gpr", "iiq", "k25", "kdc",
     "mef", "mos", "mrw", "nef", "nrw", "orf", "ori", "pef", "raf", "raw", "rw2", "rwl", "sr2", "srf", "srw", "x3f",

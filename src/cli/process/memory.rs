@@ -34,8 +34,7 @@ fn in_kilobytes(text: &str, name: &str) -> Option<u64> {
     Some(1024 * line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()?)
 }
 
-/// Smallest memory limit that is accepted, in bytes. The program takes up to half of it with photographs of one
-/// megapixel.
+/// Smallest memory limit that is accepted, in bytes. The program itself takes about 25 MB of it.
 const LEAST: u64 = 64_000_000;
 
 /// Parses a number of bytes, such as `300000000`, `256MB`, `256MiB` or `1.5GB`.
@@ -59,7 +58,7 @@ pub fn size(text: &str) -> Result<u64, String> {
         return Err(wrong());
     }
     if (bytes as u64) < LEAST {
-        return Err(format!("the program needs at least {} MB; give that or more", LEAST / 1_000_000));
+        return Err(format!("a memory limit must be at least {} MB", LEAST / 1_000_000));
     }
     Ok(bytes as u64)
 }
@@ -120,7 +119,7 @@ mod tests {
             assert!(size(wrong).unwrap_err().contains("500MB"), "{wrong}");
         }
         for little in ["1MB", "2k", "63.9MB", "5"] {
-            assert!(size(little).unwrap_err().contains("needs at least 64 MB"), "{little}");
+            assert!(size(little).unwrap_err().contains("at least 64 MB"), "{little}");
         }
     }
 }

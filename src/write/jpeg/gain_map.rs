@@ -253,7 +253,7 @@ mod tests {
     fn the_mid_tones_agree_and_the_highlights_rise() {
         let (radiance, shown) = scene();
         let found = rendition(&radiance, &shown, None);
-        // The tolerance is 3 %: at the darkest mid-tone, a step of one code value is nearly 3 % of the light.
+        // The tolerance is 3 %: at the darkest mid-tone, a step of one code value is about 3 % of the light.
         assert!((found.white / 40.0 - 1.0).abs() < 0.03, "{found:?}");
         // The peak is 2.5 times white; the brightest 0.2 % of the pixels are not counted. The gains are 0 and 2
         // stops, except for the rounding of code values. Code values below 8 are not counted, and at 8 the rounding
