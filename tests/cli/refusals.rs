@@ -310,7 +310,7 @@ fn without_exif_exposures_are_estimated_and_strict_exits_with_3() {
 fn invalid_memory_limit_and_scratch_folder_are_named() {
     let folder = Folder::with_bracket();
     refused(&folder, "merge w2.jpg w3.jpg --max-memory plenty -o a.exr", 2, &["plenty", "as in `500MB`"]);
-    refused(&folder, "merge w2.jpg w3.jpg --max-memory 1MB -o a.exr", 2, &["--max-memory", "needs at least 64 MB"]);
+    refused(&folder, "merge w2.jpg w3.jpg --max-memory 1MB -o a.exr", 2, &["--max-memory", "at least 64 MB"]);
     let gone = "merge w2.jpg w3.jpg --threads 16 --max-memory 64MB --scratch gone -o a.exr";
     refused(&folder, gone, 1, &["gone: ", "name another folder with --scratch", "--max-memory"]);
 }

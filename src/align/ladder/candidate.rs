@@ -7,8 +7,8 @@ use crate::align::agreement;
 use crate::align::agreement::{Agreement, TileCheck, TileFit, check_tiles};
 use crate::align::grey::measured_level;
 use crate::align::ladder::thresholds::{
-    CORROBORATED_CONFIDENCE, DOUBTED, SETTLED_AGREEING, SETTLED_DECIDED_PER_DISAGREEING, SETTLED_ERROR_PX,
-    TILE_NOISE_PX, TOLERANCE_PX,
+    CORROBORATED_CONFIDENCE, SETTLED_AGREEING, SETTLED_DECIDED_PER_DISAGREEING, SETTLED_ERROR_PX, TILE_NOISE_PX,
+    TOLERANCE_PX,
 };
 use crate::align::refinement::FramePair;
 use crate::align::transform::{Transform, level_to_full, on_level};
@@ -42,7 +42,7 @@ pub(crate) struct Candidate {
     /// Confidence of the picture that the frame was aligned to (1 for the reference), times the uniqueness of the
     /// candidate (see [`uniqueness`](super::selection::Candidates::uniqueness)), 0..=1.
     pub(crate) reliability: f64,
-    /// The error that halves the quality, in pixels: [`TOLERANCE_PX`] for a picture with a diagonal of up to 2000
+    /// The error that halves the confidence, in pixels: [`TOLERANCE_PX`] for a picture with a diagonal of up to 2000
     /// pixels, more for a larger one.
     pub(crate) tolerance_px: f64,
     /// Whether features independently gave the same transform.
@@ -82,32 +82,18 @@ impl Candidate {
 
     /// The confidence, 0..=1: the agreement of the tiles, reduced by the error estimate.
     pub(crate) fn confidence(&self) -> f64 {
-        self.support() * self.precision(DOUBTED * self.tolerance_px)
-    }
-
-    /// The quality, 0..=1, which decides whether the frame is merged. It is the confidence, but with a larger error
-    /// permitted: a frame that is only a little off is better than none, and its confidence tells.
-    pub(super) fn quality(&self) -> f64 {
-        self.support() * self.precision(self.tolerance_px)
-    }
-
-    /// The agreement of the tiles, 0..=1, times the reliability.
-    fn support(&self) -> f64 {
+        let off = self.most_px() / self.tolerance_px;
         let tiles = self.agreement().share() * self.agreement().coverage();
-        self.reliability * if self.corroborated { tiles.max(CORROBORATED_CONFIDENCE) } else { tiles }
-    }
-
-    /// 1 if the cautious estimate of the error is 0, 1/2 if it is `halving_px`, and less if it is larger.
-    fn precision(&self, halving_px: f64) -> f64 {
-        let off = self.most_px() / halving_px;
-        1.0 / (1.0 + off * off)
+        let support = if self.corroborated { tiles.max(CORROBORATED_CONFIDENCE) } else { tiles };
+        self.reliability * support / (1.0 + off * off)
     }
 
     /// The evidence for the transform, used to rank candidates: the number of agreeing tiles minus the number of
     /// disagreeing tiles, reduced by the error estimate.
     pub(crate) fn evidence(&self) -> f64 {
+        let off = self.most_px() / self.tolerance_px;
         let tiles = self.agreement().agreeing as f64 - self.agreement().disagreeing as f64;
-        self.reliability * tiles * self.precision(self.tolerance_px)
+        self.reliability * tiles / (1.0 + off * off)
     }
 
     /// Whether no other method is needed: many tiles agree, almost none disagrees, and the error is small.

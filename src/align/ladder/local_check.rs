@@ -8,6 +8,8 @@
 
 use crate::align::AlignMode;
 use crate::align::ladder::Search;
+use crate::align::ladder::candidate::tolerance_px;
+use crate::align::ladder::thresholds::DOUBTED;
 use crate::align::local::{DISPLACED_HALVES, LocalField};
 use crate::align::refinement::FramePair;
 use crate::align::result::{Estimate, Placement};
@@ -69,10 +71,13 @@ impl Search<'_> {
             None => (field, estimate.clone()),
         };
         let misfit = field.misfit();
-        let off = misfit.displaced_surely / DISPLACED_HALVES;
+        let displaced = misfit.displaced_surely / DISPLACED_HALVES;
+        let error_px = estimate.error_px.map(|px| (px * px + misfit.rms_px * misfit.rms_px).sqrt());
+        let off = error_px.unwrap_or(0.0) / (DOUBTED * tolerance_px(self.size()));
+        let displaced_4 = displaced * displaced * displaced * displaced;
         Estimate {
-            error_px: estimate.error_px.map(|px| (px * px + misfit.rms_px * misfit.rms_px).sqrt()),
-            confidence: estimate.confidence / (1.0 + off * off * off * off),
+            error_px,
+            confidence: estimate.confidence / ((1.0 + displaced_4) * (1.0 + off * off)),
             displaced: Some(misfit.displaced),
             ..estimate
         }

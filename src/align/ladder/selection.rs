@@ -5,7 +5,7 @@
 
 use crate::align::ladder::candidate::Candidate;
 use crate::align::ladder::thresholds::{
-    ACCEPTED_QUALITY, ACCEPTED_RELIABILITY, COMPARABLE_EVIDENCE, DECISIVE_NATS, EXPLAINING_TILES,
+    ACCEPTED_CONFIDENCE, ACCEPTED_RELIABILITY, COMPARABLE_EVIDENCE, DECISIVE_NATS, EXPLAINING_TILES,
     LATER_EVIDENCE_FACTOR, LATER_EVIDENCE_TILES, UNOPPOSED_AGREEING, UNOPPOSED_AGREEING_PER_DISAGREEING,
 };
 use crate::align::result::{Estimate, Placement, RejectedBy};
@@ -16,7 +16,7 @@ pub(super) fn is_acceptable(candidate: &Candidate) -> bool {
     let agreement = candidate.agreement();
     let is_unopposed = agreement.agreeing >= UNOPPOSED_AGREEING
         && agreement.disagreeing * UNOPPOSED_AGREEING_PER_DISAGREEING <= agreement.agreeing;
-    candidate.quality() >= ACCEPTED_QUALITY
+    candidate.confidence() >= ACCEPTED_CONFIDENCE
         || (is_unopposed
             && candidate.reliability >= ACCEPTED_RELIABILITY
             && (candidate.is_precise() || candidate.is_precise_at_tiles()))
@@ -135,9 +135,9 @@ pub(crate) fn estimate(candidate: &Candidate) -> Estimate {
 }
 
 /// The placement of a frame that could not be aligned. `confidence` is the confidence of the best transform that was
-/// found; the placement has at most [`ACCEPTED_QUALITY`].
+/// found; the placement has at most [`ACCEPTED_CONFIDENCE`].
 pub(super) fn rejected(reason: String, confidence: f64) -> Placement {
-    let confidence = confidence.min(ACCEPTED_QUALITY);
+    let confidence = confidence.min(ACCEPTED_CONFIDENCE);
     Placement::Rejected { by: RejectedBy::Alignment, confidence, reason: Some(reason) }
 }
 
@@ -159,7 +159,7 @@ mod tests {
         Candidate {
             transform: shift(x, 0.0),
             tiles: Arc::new(TileCheck { agreement, correlations, displacements: Vec::new() }),
-            noise_px: 0.02,
+            noise_px: 0.1,
             tiles_px: 0.0,
             offset_px: 0.0,
             excess_px: 0.0,
@@ -225,7 +225,7 @@ mod tests {
             offset_px,
             ..candidate(3.0, agreeing, disagreeing)
         };
-        assert!(is_acceptable(&with(12, 0, 0.1)) && with(12, 0, 0.1).confidence() < ACCEPTED_QUALITY);
+        assert!(is_acceptable(&with(12, 0, 0.1)) && with(12, 0, 0.1).confidence() < ACCEPTED_CONFIDENCE);
         // The tiles are displaced; there are too few of them; some disagree.
         assert!([with(12, 0, 1.3), with(11, 0, 0.1), with(12, 2, 0.1)].iter().all(|c| !is_acceptable(c)));
     }

@@ -19,30 +19,32 @@ pub(super) const SETTLED_ERROR_PX: f64 = 0.5;
 
 // Which candidates are accepted.
 
-/// A candidate is accepted if its quality is at least this, 0..=1. The best transform between two different rendered
-/// scenes has less (test `another_scene_never_settles`). A rejected frame has at most this confidence.
-pub(super) const ACCEPTED_QUALITY: f64 = 0.35;
-/// A candidate with less quality than [`ACCEPTED_QUALITY`] is accepted only if at least this many tiles agree,
+/// A candidate is accepted if its confidence is at least this, 0..=1. The best transform between two different rendered
+/// scenes has less (test `another_scene_never_settles`).
+pub(super) const ACCEPTED_CONFIDENCE: f64 = 0.35;
+/// A candidate with less confidence than [`ACCEPTED_CONFIDENCE`] is accepted only if at least this many tiles agree,
 /// and nearly none disagrees. The number is small, because a frame that is mostly black or clipped has few tiles with
 /// contrast, but is often an important one.
 pub(super) const UNOPPOSED_AGREEING: usize = 3;
 /// "Nearly none disagrees" means that at least this many tiles agree for each tile that disagrees. Chosen on rendered
 /// brackets.
 pub(super) const UNOPPOSED_AGREEING_PER_DISAGREEING: usize = 8;
-/// A candidate with less quality than [`ACCEPTED_QUALITY`] is accepted only if its reliability is at least this,
+/// A candidate with less confidence than [`ACCEPTED_CONFIDENCE`] is accepted only if its reliability is at least this,
 /// 0..=1. Chosen on rendered brackets.
 pub(super) const ACCEPTED_RELIABILITY: f64 = 0.25;
 /// If a rejected frame has a candidate, and does not match at several positions, the message says how many tiles
-/// disagree, if at least this many tiles agree or disagree. Otherwise it says that too few parts of the frame can be compared. Chosen
-/// on rendered brackets.
+/// disagree, if at least this many tiles agree or disagree. Otherwise it says that too few parts of the frame can be
+/// compared. Chosen on rendered brackets.
 pub(super) const EXPLAINING_TILES: usize = 8;
-/// Error estimate that halves the quality of a candidate, in pixels, for pictures with a diagonal of up to 2000 pixels. If the eight coefficients of the error of a homography are random and equally large (with half the width as
+/// Error estimate that halves the confidence of a candidate, in pixels, for pictures with a diagonal of up to 2000
+/// pixels. If the eight coefficients of the error of a homography are random and equally large (with half the width as
 /// the unit of length), the error exceeds 1.7 times its root mean square in 3 % of the picture (median of 2000 draws).
 /// So at this value, 3 % are off by 2 px.
 pub(super) const TOLERANCE_PX: f64 = 1.2;
-/// The confidence is halved at this multiple of [`TOLERANCE_PX`]. In 19 of 20 frames of rendered brackets, the error
-/// estimate is at least this multiple of the actual error.
-pub(super) const DOUBTED: f64 = 0.5;
+/// The error estimate that halves the confidence once more, after the local check, as a multiple of the tolerance.
+/// Together, the two halve it at half the tolerance. This is because in 1 of 20 frames of rendered brackets, the error
+/// estimate is less than half of the actual error.
+pub(super) const DOUBTED: f64 = 2.0 / 3.0;
 /// The median displacement of tiles under the true transform, due to noise, in pixels of the level on which tiles are
 /// measured. Measured on rendered brackets.
 pub(super) const TILE_NOISE_PX: f64 = 0.05;
