@@ -48,8 +48,8 @@ const LEAST_EVIDENCE: f64 = 0.2;
 const MOST: usize = 6;
 
 /// Returns the shifts, in pixels of the full size, under which `picture` matches itself; an empty list if it does not
-/// repeat, and none if it is too small or has too little detail to be examined. Of a shift and its opposite, only one is
-/// returned.
+/// repeat, and none if it is too small or has too little detail to be examined. Of a shift and its opposite, only one
+/// is returned.
 ///
 /// `max_shift` is the largest shift that is searched, as a share of the long side.
 pub(crate) fn periods(picture: &GreyPyramid, max_shift: f64) -> Option<Vec<(f64, f64)>> {

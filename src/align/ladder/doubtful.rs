@@ -33,8 +33,8 @@ impl Target<'_> {
         FramePair::new(&self.pyramid, frame, start)
     }
 
-    /// Adds the target's own error to the noise of `candidate`, and multiplies the candidate's reliability by the target's
-    /// confidence.
+    /// Adds the target's own error to the noise of `candidate`, and multiplies the candidate's reliability by the
+    /// target's confidence.
     fn discount(&self, candidate: Candidate) -> Candidate {
         let noise_px = (candidate.noise_px * candidate.noise_px + self.error_px * self.error_px).sqrt();
         Candidate { noise_px, reliability: candidate.reliability * self.confidence, ..candidate }
@@ -114,9 +114,9 @@ impl Search<'_> {
         counts
     }
 
-    /// Adds the candidates that the best one becomes when it is shifted by a period of the scene: they may match as well,
-    /// or better. If one of them is the best and decisively better, it is shifted in turn. If more tiles disagree than agree even under the best
-    /// candidate, it is not shifted: it would only reach another wrong one.
+    /// Adds the candidates that the best one becomes when it is shifted by a period of the scene: they may match as
+    /// well, or better. If one of them is the best and decisively better, it is shifted in turn. If more tiles disagree
+    /// than agree even under the best candidate, it is not shifted: it would only reach another wrong one.
     fn shift_by_periods(&self, i: usize, targets: &[Target], shared: &Shared, candidates: &mut Candidates) {
         let (width, height) = self.size();
         for _ in 0..MOST_PERIODS {

@@ -1,8 +1,8 @@
 //! Scenes that repeat: if a transform is shifted by a period of the scene, the result matches as well, or nearly.
 //!
 //! In: the grey pyramids of a bracket. Out: the periods of the scene, and for a transform the shifted ones, from which
-//! further candidates are refined. Cost: that of [`periods`] for the reference; if the reference is dark or has little detail,
-//! also for each frame with more exposure, or for all frames, whose placement is not preset.
+//! further candidates are refined. Cost: that of [`periods`] for the reference; if the reference is dark or has little
+//! detail, also for each frame with more exposure, or for all frames, whose placement is not preset.
 
 use crate::align::agreement::periods;
 use crate::align::grey::GreyPyramid;
@@ -13,14 +13,14 @@ use nalgebra::Matrix3;
 /// The periods of the scene of a bracket.
 pub(super) struct Repetition {
     reference: usize,
-    /// For each frame, the shifts under which it matches itself, in its own pixels. Not every frame is examined; for the
-    /// others, the list is empty.
+    /// For each frame, the shifts under which it matches itself, in its own pixels. Not every frame is examined; for
+    /// the others, the list is empty.
     periods: Vec<Vec<(f64, f64)>>,
 }
 
 impl Repetition {
-    /// Finds the periods of the reference. In a dark reference, noise and rounding may hide them, so the brighter frames
-    /// are examined too; if the reference has too little detail, for example because it is clipped, all frames.
+    /// Finds the periods of the reference. In a dark reference, noise and rounding may hide them, so the brighter
+    /// frames are examined too; if the reference has too little detail, for example because it is clipped, all frames.
     pub(super) fn find(search: &Search) -> Self {
         let reference = search.reference;
         let of = |pyramid: &GreyPyramid| periods(pyramid, search.options.mtb.max_shift);

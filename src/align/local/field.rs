@@ -165,8 +165,8 @@ impl LocalField {
     }
 
     /// Whether the transform may be a compromise between several motions: whether at least [`LEAST_CELLS`] cells are
-    /// known, clearly more than [`LEAST_MOVED`] of them have a significant displacement, and the root mean square displacement, with each displacement counted
-    /// as at most [`DISPLACED_PX`], is at least [`LEAST_MISFIT_PX`].
+    /// known, clearly more than [`LEAST_MOVED`] of them have a significant displacement, and the root mean square
+    /// displacement, with each displacement counted as at most [`DISPLACED_PX`], is at least [`LEAST_MISFIT_PX`].
     fn may_be_compromise(&self) -> bool {
         let all = self.cells.len() as f64;
         let capped: Vec<(f64, f64)> = self.lengths_px().map(|(px, area)| (px.min(DISPLACED_PX), area)).collect();
