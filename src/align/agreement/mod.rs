@@ -28,9 +28,9 @@ use std::sync::OnceLock;
 const TILES: usize = 16;
 /// Smallest side of a tile, in pixels. A picture whose short side is smaller has no tiles and cannot be checked.
 pub(crate) const LEAST_SIDE: usize = 8;
-/// Largest share of tiles that may be ignored because they did not move although the transform moves them (captions,
-/// watermarks, dust). If the share is larger, these tiles may be the scene, and the transform may follow something that
-/// moved; then they count as disagreeing.
+/// Largest share of the tiles that can be compared that may be ignored because they did not move although the transform
+/// moves them (captions, watermarks, dust). If the share is larger, these tiles may be the scene, and the transform may
+/// follow something that moved; then they count as disagreeing.
 pub(crate) const MOST_STILL: f64 = 0.5;
 /// Search range of a tile around its position, in pixels in each direction along each axis.
 const REACH: isize = 3;
@@ -44,7 +44,7 @@ pub struct Agreement {
     /// Number of tiles with enough structure whose best match is at another position, or that match nowhere.
     pub disagreeing: usize,
     /// Number of tiles that are uniform, too dark, too bright, or outside the frame; also of faint tiles that match
-    /// nowhere, and of tiles that did not move with the scene (up to half of the tiles).
+    /// nowhere, and of tiles that did not move with the scene, if they are at most half of those that can be compared.
     pub undecided: usize,
     /// Number of cells of a 3 x 3 grid over the picture that contain an agreeing tile, 0..=9.
     pub parts: usize,

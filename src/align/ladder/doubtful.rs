@@ -115,8 +115,8 @@ impl Search<'_> {
     }
 
     /// Adds the candidates that the best one becomes when it is shifted by a period of the scene: they may match as
-    /// well, or better. If one of them is the best and decisively better, it is shifted in turn. If more tiles disagree
-    /// than agree even under the best candidate, it is not shifted: it would only reach another wrong one.
+    /// well, or better. If one of them is the best and decisively better, it is shifted in turn. Unless more tiles agree
+    /// than disagree under the best candidate, it is not shifted: it would only reach another wrong one.
     fn shift_by_periods(&self, i: usize, targets: &[Target], shared: &Shared, candidates: &mut Candidates) {
         let (width, height) = self.size();
         for _ in 0..MOST_PERIODS {

@@ -1,7 +1,7 @@
 //! The local check: for each frame, the share of the picture that its transform does not fit.
 //!
-//! In: the placements of all frames. Out: the same placements, with the share of the parts that are displaced, and with
-//! the error and confidence that follow from this share. In the mode `auto`, the dominant motion of the cells may
+//! In: the placements of all frames. Out: the same placements, with the share of the parts that are displaced, an error
+//! that includes them, and a confidence that is reduced by both. In the mode `auto`, the dominant motion of the cells may
 //! replace the transform of a frame: if the frame moved, and the dominant motion fits more of the picture. Cost: a
 //! [`LocalField`] for each frame. The planes of a frame are computed again, except for frames that needed only the
 //! bitmaps: those are checked while their planes are in memory.
