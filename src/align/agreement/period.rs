@@ -35,8 +35,8 @@ const STRIDE: isize = 2;
 /// Smallest period that is detected, in pixels of the examined level.
 const LEAST: isize = 6;
 /// A shift is a period only if the similarity under it (the median correlation of the patches) is at least this. Noise
-/// makes the similarity smaller than 1; at this value, the variance of the noise is 0.4 times that of the pattern.
-const ALIKE: f64 = 0.7;
+/// makes the similarity smaller than 1; at this value, the variance of the noise is a quarter of that of the pattern.
+const ALIKE: f64 = 0.8;
 /// A shift is a period only if the dissimilarity under it (1 - similarity) is less than this multiple of the
 /// dissimilarity under half the shift.
 const NEARER: f64 = 0.5;

@@ -70,9 +70,21 @@ fn matches(dark: &Brightness, bright: &Brightness) -> Option<Pair> {
     shared.or_else(|| histogram::matches(&dark.histogram, &bright.histogram))
 }
 
-/// Estimates the step from `dark` to `bright` in EV; `None` where nothing is well exposed in both frames.
-fn step(dark: &Brightness, bright: &Brightness) -> Option<f64> {
-    steps::of(&[matches(dark, bright)?])?.means.first().copied()
+/// A step in exposure between two frames.
+#[derive(Debug, Clone, Copy)]
+struct Step {
+    /// The step, in EV.
+    ev: f64,
+    /// See [`Pair::is_well_exposed`].
+    is_well_exposed: bool,
+}
+
+/// Estimates the step from `dark` to `bright`; `None` where too few pixel values are exposed in both frames.
+fn step(dark: &Brightness, bright: &Brightness) -> Option<Step> {
+    let pair = matches(dark, bright)?;
+    let is_well_exposed = pair.is_well_exposed;
+    let ev = steps::of(&[pair])?.means.first().copied()?;
+    Some(Step { ev, is_well_exposed })
 }
 
 /// Exposures estimated from the pixels.

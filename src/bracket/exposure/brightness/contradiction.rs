@@ -4,7 +4,7 @@
 //! frames. Several sets of frames are tried. Cost: one estimate of a step for each pair of frames that are neighbours
 //! in one of these sets.
 
-use super::{Brightness, CAMERAS, STEP, by_brightness, spread, step};
+use super::{Brightness, CAMERAS, STEP, Step, by_brightness, spread, step};
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 
@@ -22,8 +22,8 @@ const MANY: usize = 12;
 /// - all written exposures are equal, although the brightness of the frames differs by more than 0.6 EV;
 /// - of two frames with neighbouring written exposures, one should be brighter by 0.3 EV or more, but is darker by 0.5
 ///   EV or more;
-/// - a written step and the measured step differ by at least 3 EV, and the larger of them is at least twice the
-///   smaller.
+/// - a written step and a step measured on well exposed pixels differ by at least 3 EV, and the larger of them is at
+///   least twice the smaller.
 pub fn contradiction(written: &[f64], frames: &[&Brightness]) -> Option<String> {
     let all: Vec<usize> = (0..frames.len()).collect();
     among(&all, written, &Pairs::of(frames))
@@ -32,7 +32,7 @@ pub fn contradiction(written: &[f64], frames: &[&Brightness]) -> Option<String> 
 /// The steps between pairs of frames; each step is computed only once.
 struct Pairs<'a> {
     frames: &'a [&'a Brightness],
-    steps: RefCell<BTreeMap<(usize, usize), Option<f64>>>,
+    steps: RefCell<BTreeMap<(usize, usize), Option<Step>>>,
 }
 
 impl<'a> Pairs<'a> {
@@ -40,7 +40,7 @@ impl<'a> Pairs<'a> {
         Pairs { frames, steps: RefCell::default() }
     }
 
-    fn step(&self, from: usize, to: usize) -> Option<f64> {
+    fn step(&self, from: usize, to: usize) -> Option<Step> {
         *self.steps.borrow_mut().entry((from, to)).or_insert_with(|| step(self.frames[from], self.frames[to]))
     }
 
@@ -49,7 +49,7 @@ impl<'a> Pairs<'a> {
     fn spread(&self, which: &[usize]) -> Option<f64> {
         let frames: Vec<&Brightness> = which.iter().map(|&i| self.frames[i]).collect();
         let order = by_brightness(&frames);
-        order.windows(2).map(|pair| self.step(which[pair[0]], which[pair[1]])).sum()
+        order.windows(2).map(|pair| Some(self.step(which[pair[0]], which[pair[1]])?.ev)).sum()
     }
 }
 
@@ -63,7 +63,7 @@ fn among(which: &[usize], written: &[f64], pairs: &Pairs) -> Option<String> {
     }
     order.windows(2).find_map(|pair| {
         let said = written[pair[1]] - written[pair[0]];
-        let seen = pairs.step(pair[0], pair[1])?;
+        let Step { ev: seen, is_well_exposed } = pairs.step(pair[0], pair[1])?;
         if said >= 0.3 && seen <= -0.5 {
             let darker = -seen;
             return Some(format!(
@@ -71,7 +71,7 @@ fn among(which: &[usize], written: &[f64], pairs: &Pairs) -> Option<String> {
             ));
         }
         let (less, more) = if said < seen { (said, seen) } else { (seen, said) };
-        (more - less >= FAR_OFF && more >= 2.0 * less).then(|| {
+        (is_well_exposed && more - less >= FAR_OFF && more >= 2.0 * less).then(|| {
             format!("one frame should be {said:.1} EV brighter than the next, but is brighter by about {seen:.1} EV")
         })
     })
@@ -118,7 +118,7 @@ fn without(written: &[f64], pairs: &Pairs, odd: &[usize]) -> Option<f64> {
     let mut misfit: f64 = 0.0;
     for pair in order.windows(2) {
         let said = written[pair[1]] - written[pair[0]];
-        let seen = pairs.step(pair[0], pair[1])?;
+        let seen = pairs.step(pair[0], pair[1])?.ev;
         misfit = misfit.max((said - seen).abs() / (STEP + 2.0 * CAMERAS * said));
     }
     let all: Vec<f64> = order.iter().map(|&i| written[i]).collect();

@@ -29,6 +29,9 @@ pub(super) struct Pair {
     pub(super) matches: Vec<Match>,
     /// Share of the pixels of the darker frame whose values are in the range of the matches.
     pub(super) share: f64,
+    /// Whether all matched values are well exposed. Otherwise some are barely exposed: there the curves of cameras
+    /// differ most, and the step is uncertain.
+    pub(super) is_well_exposed: bool,
 }
 
 /// A class of curves. `share` is the fraction of photographs that have such a curve. `mean` and `covariance` (its lower

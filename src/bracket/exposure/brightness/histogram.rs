@@ -120,5 +120,5 @@ fn matches_within(dark: &Histogram, bright: &Histogram, (low, high): (usize, usi
     }
     let (first, last) = (matches.first()?.from as usize, matches.last()?.from as usize);
     let share = (dark.below[last + 1] - dark.below[first]) as f64 / dark.total() as f64;
-    Some(Pair { matches, share })
+    Some(Pair { matches, share, is_well_exposed: (low, high) == EXPOSED })
 }
