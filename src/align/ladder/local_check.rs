@@ -9,7 +9,7 @@
 use crate::align::AlignMode;
 use crate::align::ladder::Search;
 use crate::align::ladder::candidate::tolerance_px;
-use crate::align::ladder::thresholds::DOUBTED;
+use crate::align::ladder::thresholds::UNCERTAIN;
 use crate::align::local::{DISPLACED_HALVES, LocalField};
 use crate::align::refinement::FramePair;
 use crate::align::result::{Estimate, Placement};
@@ -73,7 +73,7 @@ impl Search<'_> {
         let misfit = field.misfit();
         let displaced = misfit.displaced_surely / DISPLACED_HALVES;
         let error_px = estimate.error_px.map(|px| (px * px + misfit.rms_px * misfit.rms_px).sqrt());
-        let off = error_px.unwrap_or(0.0) / (DOUBTED * tolerance_px(self.size()));
+        let off = error_px.unwrap_or(0.0) / (UNCERTAIN * tolerance_px(self.size()));
         let displaced_4 = displaced * displaced * displaced * displaced;
         Estimate {
             error_px,

@@ -44,7 +44,7 @@ pub(super) const TOLERANCE_PX: f64 = 1.2;
 /// The error estimate that halves the confidence once more, after the local check, as a multiple of the tolerance.
 /// Together, the two halve it at half the tolerance. This is because in 1 of 20 frames of rendered brackets, the error
 /// estimate is less than half of the actual error.
-pub(super) const DOUBTED: f64 = 2.0 / 3.0;
+pub(super) const UNCERTAIN: f64 = 2.0 / 3.0;
 /// The median displacement of tiles under the true transform, due to noise, in pixels of the level on which tiles are
 /// measured. Measured on rendered brackets.
 pub(super) const TILE_NOISE_PX: f64 = 0.05;
