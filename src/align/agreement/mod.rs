@@ -28,9 +28,9 @@ use std::sync::OnceLock;
 const TILES: usize = 16;
 /// Smallest side of a tile, in pixels. A picture whose short side is smaller has no tiles and cannot be checked.
 pub(crate) const LEAST_SIDE: usize = 8;
-/// Largest share of the tiles that can be compared that may be ignored because they did not move although the transform
-/// moves them (captions, watermarks, dust). If the share is larger, these tiles may be the scene, and the transform may
-/// follow something that moved; then they count as disagreeing.
+/// Tiles that did not move although the transform moves them (captions, watermarks, dust) are ignored, if their share of
+/// all tiles that can be compared is at most this. If the share is larger, these tiles may be the scene, and the
+/// transform may follow something that moved; then they count as disagreeing.
 pub(crate) const MOST_STILL: f64 = 0.5;
 /// Search range of a tile around its position, in pixels in each direction along each axis.
 const REACH: isize = 3;

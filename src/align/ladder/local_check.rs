@@ -70,14 +70,14 @@ impl Search<'_> {
             }
             None => (field, estimate.clone()),
         };
+        let square = |v: f64| v * v;
         let misfit = field.misfit();
         let displaced = misfit.displaced_surely / DISPLACED_HALVES;
-        let error_px = estimate.error_px.map(|px| (px * px + misfit.rms_px * misfit.rms_px).sqrt());
+        let error_px = estimate.error_px.map(|px| (square(px) + square(misfit.rms_px)).sqrt());
         let off = error_px.unwrap_or(0.0) / (UNCERTAIN * tolerance_px(self.size()));
-        let displaced_4 = displaced * displaced * displaced * displaced;
         Estimate {
             error_px,
-            confidence: estimate.confidence / ((1.0 + displaced_4) * (1.0 + off * off)),
+            confidence: estimate.confidence / ((1.0 + square(square(displaced))) * (1.0 + square(off))),
             displaced: Some(misfit.displaced),
             ..estimate
         }

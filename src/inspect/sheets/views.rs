@@ -2,8 +2,8 @@
 //! after. The two frames have different colours, which add up to white where both have an edge.
 //!
 //! In: two frames and a transform. Out: [`Views`] with the whole picture and some details at twice their size, in
-//! which an offset of half a pixel is visible; and their drawing for a file. Cost: one pass over both
-//! pictures, and some passes at the drawn size.
+//! which an offset of half a pixel is visible; and their drawing for a file. Cost: one pass over both pictures,
+//! and some passes at the drawn size.
 
 use super::edges::{Edges, Grey, laid};
 use super::layout::{Entry, Mark, Page, TEXT};
