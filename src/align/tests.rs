@@ -12,7 +12,7 @@ use crate::plane::Plane;
 const SIZE: (usize, usize) = (384, 256);
 
 /// Returns a frame whose three channels are `grey`.
-fn frame(name: &str, grey: &Plane<u8>, ev: f64) -> Frame {
+pub(super) fn frame(name: &str, grey: &Plane<u8>, ev: f64) -> Frame {
     let codes = grey.as_slice().iter().flat_map(|&v| [v, v, v]).collect();
     Frame::new(name.into(), grey.width(), grey.height(), Samples::Eight(codes), Exposure::given(ev).unwrap())
 }

@@ -11,7 +11,7 @@ fn frame(stops: i32, is_phone: bool) -> Vec<u8> {
     let picture = RgbImage::from_fn(360, 240, |x, y| {
         let window = (200..300).contains(&x) && (60..160).contains(&y);
         let base = (f64::from(x) / 180.0 - 1.0).exp2() * if window { 6.0 } else { 0.1 } * f64::from(stops).exp2();
-        let texture = (0.125 * (f64::from(x) / 9.0).sin() + 0.125 * (f64::from(y) / 7.0).cos()).exp2();
+        let texture = (0.25 * (f64::from(x) / 9.0).sin() + 0.25 * (f64::from(y) / 7.0).cos()).exp2();
         let gain = if is_phone { (base / 0.18).powf(-0.55).clamp(0.25, 3.0) } else { 1.0 };
         let v = (base * texture * gain).min(1.0);
         let code = if v <= 0.0031308 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 };
@@ -44,7 +44,7 @@ fn frames_of_a_phone_are_named_merged_with_a_gain_and_strict_exits_with_3() {
     let run = folder.line(&format!("{MERGE} --report r.json"));
     assert_eq!(run.code, 0, "{}", run.stderr);
     assert!(run.stderr.contains("a.png, b.png, c.png: locally processed"), "{}", run.stderr);
-    assert!(run.stderr.contains("tone-mapped locally by the camera"), "{}", run.stderr);
+    assert!(run.stderr.contains("frames     tone-mapped locally by the camera"), "{}", run.stderr);
     let local = report(&folder)["local_processing"].clone();
     assert_eq!(local["locally_processed"], true, "{local}");
     let frames = local["frames"].as_array().expect("a list");

@@ -43,8 +43,9 @@ pub struct Agreement {
     pub agreeing: usize,
     /// Number of tiles with enough structure whose best match is at another position, or that match nowhere.
     pub disagreeing: usize,
-    /// Number of tiles that are uniform, too dark, too bright, or outside the frame; also of faint tiles that match
-    /// nowhere, and of tiles that did not move with the scene, if they are at most half of those that can be compared.
+    /// Number of tiles that are uniform, too dark, too bright, or outside the frame; also of tiles that are faint in
+    /// both frames and match nowhere, and of tiles that did not move with the scene, if they are at most half of those
+    /// that can be compared.
     pub undecided: usize,
     /// Number of cells of a 3 x 3 grid over the picture that contain an agreeing tile, 0..=9.
     pub parts: usize,
@@ -135,7 +136,7 @@ pub struct TileCheck {
     /// The summary of all tiles.
     pub agreement: Agreement,
     /// The correlation of each tile at its position; none for a tile with too little contrast or outside the
-    /// frame, and for a faint tile that matches nowhere.
+    /// frame, and for a tile that is faint in both frames and matches nowhere.
     pub correlations: Vec<Option<f32>>,
     /// The displacements of the agreeing tiles whose best match is not at the edge of the search range.
     pub displacements: Vec<TileDisplacement>,

@@ -204,18 +204,27 @@ impl Pattern {
         is_decided.then_some(Pattern { left, top, side, values, mask, count, energy })
     }
 
-    /// Whether the contrast of the pattern is less than twice [`LEAST_CONTRAST`].
-    pub(super) fn is_faint(&self) -> bool {
-        self.energy < 4.0 * LEAST_CONTRAST * LEAST_CONTRAST * self.count
+    /// Whether the standard deviation of the pixels is less than twice [`LEAST_CONTRAST`], both in the reference and,
+    /// at the position that the transform gives, in the frame. If only the reference is faint, noise does not explain
+    /// the contrast of the frame.
+    pub(super) fn is_faint_in_both(&self, warped: &Warped) -> bool {
+        let faint = 4.0 * LEAST_CONTRAST * LEAST_CONTRAST * self.count;
+        self.energy < faint && self.moments(warped, (0, 0)).0 < faint
     }
 
     /// Returns the correlation with the frame shifted by `shift`; NaN if a needed pixel is outside the frame.
     pub(crate) fn correlation(&self, warped: &Warped, shift: Shift) -> f32 {
-        let [sum, squares, products] = vectorised(Moments { pattern: self, warped, shift });
-        let variance = squares - sum * sum / self.count;
+        let (variance, products) = self.moments(warped, shift);
         // Where the frame has no structure, its variance is close to 0. The lower limit keeps the correlation low
         // there.
         if variance.is_nan() { f32::NAN } else { products / (self.energy * variance.max(0.25 * self.count)).sqrt() }
+    }
+
+    /// Returns two sums over the pixels with enough weight: the squares of the frame's grey values minus their mean,
+    /// and their products with the pattern. NaN if any pixel of the shifted square is outside the frame.
+    fn moments(&self, warped: &Warped, shift: Shift) -> (f32, f32) {
+        let [sum, squares, products] = vectorised(Moments { pattern: self, warped, shift });
+        (squares - sum * sum / self.count, products)
     }
 }
 

@@ -55,6 +55,25 @@ fn moving_object_contradicts_only_in_its_tiles() {
     assert!(found.agreeing > 80 && found.offset < 0.1, "{found:?}");
 }
 
+/// A watermark hides the scene in part of the frame, and stays at the same pixels although the camera moves.
+#[test]
+fn still_tiles_are_ignored_unless_they_are_the_majority() {
+    let truth = shift(9.0, 6.0);
+    let reference = taken(&Transform::Identity, 0.0);
+    let moved = taken(&truth, 0.0);
+    let with_overlay = |columns: usize| {
+        Plane::from_rows(SIZE.0, SIZE.1, |y, row| {
+            row[..columns].copy_from_slice(&reference.row(y)[..columns]);
+            row[columns..].copy_from_slice(&moved.row(y)[columns..]);
+        })
+    };
+    // Tiles are 30 px wide. Seven of sixteen columns are still, then ten.
+    let few = agreement_of(&reference, &with_overlay(210), &truth);
+    assert!(few.disagreeing <= 10 && few.agreeing > 50, "{few:?}");
+    let many = agreement_of(&reference, &with_overlay(300), &truth);
+    assert!(many.disagreeing > many.agreeing, "{many:?}");
+}
+
 #[test]
 fn plain_and_clipped_pictures_are_silent() {
     let plain = Plane::filled(SIZE.0, SIZE.1, 120);

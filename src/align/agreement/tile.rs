@@ -116,7 +116,7 @@ pub(super) fn check_tile<'w>(
     let (dx, dy) = (best.1.0 as f32, best.1.1 as f32);
     let away = (dx * dx + dy * dy).sqrt();
     if here < LEAST_CORRELATION || (away > 1.5 && best.0 > here + 0.05) {
-        return if best.0 < LEAST_CORRELATION && pattern.is_faint() {
+        return if best.0 < LEAST_CORRELATION && pattern.is_faint_in_both(warped) {
             Tile::Undecided
         } else if unmoved().is_some_and(|unmoved| pattern.correlation(unmoved, (0, 0)) > best.0.max(LEAST_STILL)) {
             Tile::Still { correlation: here }

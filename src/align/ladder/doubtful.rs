@@ -11,7 +11,7 @@ use crate::align::ladder::candidate::Candidate;
 use crate::align::ladder::reduction::reduce;
 use crate::align::ladder::selection::{Candidates, estimate, is_acceptable, rejected, rejection_reason};
 use crate::align::ladder::starts::{by_alternatives, by_bitmaps, by_start, warped_to_reference};
-use crate::align::ladder::thresholds::{CORROBORATED_PX, DECISIVE_NATS, LEAST_INLIERS, SAME_APART};
+use crate::align::ladder::thresholds::{CORROBORATED_PX, LEAST_INLIERS, SAME_APART};
 use crate::align::refinement::FramePair;
 use crate::align::result::{FeatureCounts, Found, Placement};
 use crate::align::transform::{Transform, distance};
@@ -29,22 +29,17 @@ pub(crate) struct Target<'a> {
 
 impl Target<'_> {
     /// The pair of this target and `frame`, which `start` aligns approximately.
-    fn compare<'b>(&'b self, frame: &'b GreyPyramid, start: &Transform) -> FramePair<'b> {
+    pub(super) fn compare<'b>(&'b self, frame: &'b GreyPyramid, start: &Transform) -> FramePair<'b> {
         FramePair::new(&self.pyramid, frame, start)
     }
 
     /// Adds the target's own error to the noise of `candidate`, and multiplies the candidate's reliability by the
     /// target's confidence.
-    fn discount(&self, candidate: Candidate) -> Candidate {
+    pub(super) fn discount(&self, candidate: Candidate) -> Candidate {
         let noise_px = (candidate.noise_px * candidate.noise_px + self.error_px * self.error_px).sqrt();
         Candidate { noise_px, reliability: candidate.reliability * self.confidence, ..candidate }
     }
 }
-
-/// Largest number of times that the best candidate is shifted by a period. A wrong one may be several periods off.
-const MOST_PERIODS: usize = 8;
-/// From a start that is at most this far from a candidate, refinement would only find this candidate again; in pixels.
-const KNOWN_PX: f64 = 0.5;
 
 impl Search<'_> {
     /// Places frame `i`, for which the bitmaps gave only the doubtful candidate `first`, or none.
@@ -61,7 +56,7 @@ impl Search<'_> {
         candidates.add(0, first);
         let counts = self.find_candidates(i, &targets, shared, &mut candidates);
         if shared.repetition.concerns(i) {
-            self.shift_by_periods(i, &targets, shared, &mut candidates);
+            self.shift_by_periods(i, &targets, &shared.repetition, &mut candidates);
         }
         (self.chosen(i, &targets, &candidates), counts)
     }
@@ -112,29 +107,6 @@ impl Search<'_> {
             }
         }
         counts
-    }
-
-    /// Adds the candidates that the best one becomes when it is shifted by a period of the scene: they may match as
-    /// well, or better. If one of them is the best and decisively better, it is shifted in turn. Unless more tiles agree
-    /// than disagree under the best candidate, it is not shifted: it would only reach another wrong one.
-    fn shift_by_periods(&self, i: usize, targets: &[Target], shared: &Shared, candidates: &mut Candidates) {
-        let (width, height) = self.size();
-        for _ in 0..MOST_PERIODS {
-            let Some((b, best)) = candidates.best().filter(|(_, c)| c.evidence() > 0.0) else { break };
-            let (best, tiles) = (best.transform, best.tiles.clone());
-            let pair = targets[b].compare(&self.pyramids[i], &best);
-            for start in shared.repetition.shifted(i, &best.matrix(width, height)) {
-                let is_known = |c: &Candidate| distance(&c.transform, &start, width, height) <= KNOWN_PX;
-                if candidates.any(b, is_known) {
-                    continue;
-                }
-                candidates.add(b, by_start(&pair, &start, 0).map(|c| targets[b].discount(c)));
-            }
-            // If no other is decisively better, further shifts would not make one unique.
-            if candidates.best().is_none_or(|(_, c)| c.tiles.distinction_from(&tiles) <= DECISIVE_NATS) {
-                break;
-            }
-        }
     }
 
     /// Returns the placement that follows from all `candidates`.
