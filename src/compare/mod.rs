@@ -2,7 +2,8 @@
 //!
 //! In: the expected file, the actual file, and [`Options`]. Out: a [`Comparison`] with its outcome, the differences in
 //! stops or in dE, PU21-PSNR and MS-SSIM; and, if requested, a false-colour picture. Cost: reading both files, then up
-//! to 0.2 us for every pixel if any pixel differs, and 0.7 us for each pixel of a picture that differs. Sources:
+//! to 0.2 us for every pixel if any pixel differs, and 0.7 us for each pixel of a picture that differs (for
+//! every pixel if the profiles differ). Sources:
 //! CIEDE2000 (Sharma, Wu & Dalal 2005), PU21 (Mantiuk & Azimi 2021), MS-SSIM (Wang, Simoncelli & Bovik 2003), each in
 //! the file of its name.
 //!

@@ -13,9 +13,9 @@ pub fn number(v: f64) -> String {
     if text == "-0" { "0".into() } else { text.into() }
 }
 
-/// Escapes text for use between tags and in quoted attributes of XML and HTML. Characters that XML 1.0 forbids, common
-/// invisible ones (the soft hyphen, the zero-width space, U+FEFF), and those that change the direction of the text
-/// become the replacement character.
+/// Escapes text for use between tags and in quoted attributes of XML and HTML. Characters that XML 1.0 forbids, some
+/// invisible ones (the soft hyphen, the zero-width space, U+2060 to U+206F, U+FEFF), and those that change the
+/// direction of the text become the replacement character.
 pub fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {

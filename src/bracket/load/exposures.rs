@@ -1,7 +1,7 @@
 //! Chooses the exposures of a bracket: from EXIF where it is consistent, else from the pixels.
 //!
-//! In: exposure tags and brightness of all frames. Out: an [`Exposure`] for each frame, and warnings. Cost: one or
-//! more estimates of [`brightness`] for each pair of neighbours, also if EXIF is complete.
+//! In: exposure tags and brightness of all frames. Out: an [`Exposure`] for each frame, and warnings. Cost: usually
+//! one or more estimates of [`brightness`] for each pair of neighbours, also if EXIF is complete.
 //!
 //! EXIF is checked frame by frame. An exposure in EXIF is used if it is consistent with the exposures of the other
 //! frames. If it is missing or contradicts them, the step from another frame is estimated from the pixels. That frame
