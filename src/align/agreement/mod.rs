@@ -28,8 +28,8 @@ use std::sync::OnceLock;
 const TILES: usize = 16;
 /// Smallest side of a tile, in pixels. A picture whose short side is smaller has no tiles and cannot be checked.
 pub(crate) const LEAST_SIDE: usize = 8;
-/// Tiles that did not move although the transform moves them (captions, watermarks, dust) are ignored, if their share of
-/// all tiles that can be compared is at most this. If the share is larger, these tiles may be the scene, and the
+/// Tiles that did not move although the transform moves them (captions, watermarks, dust) are ignored, if their share
+/// of all tiles that can be compared is at most this. If the share is larger, these tiles may be the scene, and the
 /// transform may follow something that moved; then they count as disagreeing.
 pub(crate) const MOST_STILL: f64 = 0.5;
 /// Search range of a tile around its position, in pixels in each direction along each axis.
@@ -90,8 +90,8 @@ impl TileCheck {
     /// period. But interpolation, tones and the precision of the two refinements may make one of the transforms match
     /// slightly better in most tiles. In a scene that repeats exactly, this alone could add up to decisive evidence.
     /// Therefore the median of the tiles' evidence, limited to one nat, is subtracted from the evidence of each tile.
-    /// The median is subtracted only if it has the same sign as the sum over the tiles. If the subtraction would change
-    /// the sign of the sum, the result is 0.
+    /// The median is subtracted only if it has the same sign as the sum over the tiles. If the subtraction would
+    /// change the sign of the sum, the result is 0.
     pub fn distinction_from(&self, other: &TileCheck) -> f64 {
         let tiles: Vec<f64> = self.evidence_by_tile(other).collect();
         let all: f64 = tiles.iter().sum();

@@ -1,11 +1,12 @@
 //! The local check: for each frame, the share of the picture that its transform does not fit.
 //!
-//! In: the placements of all frames. Out: the same placements, with the share of the parts that are displaced, an error
-//! that usually includes them, and a confidence that is reduced by both. In the mode `auto`, the dominant motion of the
-//! cells may replace the transform of a frame: if the frame moved, and the dominant motion fits more of the picture.
-//! Cost: a [`LocalField`] for each placed frame whose transform was estimated, with that of its finer level and of the
-//! dominant motion where they are tried. The planes of a frame are computed again, except for frames that needed only
-//! the bitmaps: those are checked while their planes are in memory.
+//! In: the placements of all frames. Out: the same placements, with the share of the parts that are displaced, an
+//! error that usually includes them, and a confidence that is reduced by both. In the mode `auto`, the dominant motion
+//! of the cells may replace the transform of a frame: if the frame moved, and the dominant motion fits more of the
+//! picture. Cost: a [`LocalField`] for each placed frame whose transform was estimated, with that of its finer level
+//! and of the dominant motion where they are tried. The planes of a frame are computed again, except in the mode
+//! `auto` for a frame that the bitmaps aligned to the reference without doubt: it is checked while its planes are in
+//! memory, and again only if its placement is changed afterwards.
 
 use crate::align::AlignMode;
 use crate::align::ladder::Search;

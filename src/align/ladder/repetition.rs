@@ -15,8 +15,9 @@ use crate::align::ladder::starts::by_start;
 use crate::align::transform::{Transform, distance};
 use nalgebra::Matrix3;
 
-/// Largest number of times that the best candidate is shifted by a period. A wrong one may be several periods off.
-const MOST_PERIODS: usize = 6;
+/// Largest number of rounds. In each, the best candidate so far is shifted by every period, in both directions. A wrong
+/// one may be several periods off.
+const MOST_ROUNDS: usize = 6;
 /// A start that is at most this far from a candidate, in pixels, is not refined: it would usually lead to this
 /// candidate again.
 const KNOWN_PX: f64 = 0.5;
@@ -66,7 +67,7 @@ impl Repetition {
 impl Search<'_> {
     /// Adds the candidates that the best one becomes when it is shifted by a period of the scene: they may match as
     /// well, or better. If one of them is the best, it is shifted in turn, so that it too is compared with its own
-    /// periods, in at most [`MOST_PERIODS`] rounds. Unless more tiles agree than disagree under the best candidate, it
+    /// periods, in at most [`MOST_ROUNDS`] rounds. Unless more tiles agree than disagree under the best candidate, it
     /// is not shifted: it would only reach another wrong one.
     pub(super) fn shift_by_periods(
         &self,
@@ -77,7 +78,7 @@ impl Search<'_> {
     ) {
         let (width, height) = self.size();
         let mut shifted = None;
-        for _ in 0..MOST_PERIODS {
+        for _ in 0..MOST_ROUNDS {
             let best = candidates.best().filter(|(_, c)| c.evidence() > 0.0).map(|(b, c)| (b, c.transform));
             let Some((b, best)) = best.filter(|_| best != shifted) else { break };
             shifted = Some((b, best));
@@ -139,7 +140,7 @@ mod tests {
             let repetition = Repetition::find(search);
             let pyramid = Cow::Borrowed(search.reference_pyramid());
             let targets = [Target { pyramid, error_px: 0.0, confidence: 1.0 }];
-            // A half of the period off, every tile that is inside the frame disagrees.
+            // A half of the period off, nearly every tile disagrees.
             let off = shift(4.0 + PERIOD / 2.0, 3.0 + PERIOD / 2.0);
             for (start, is_shifted) in [(TRUTH, true), (off, false)] {
                 let mut candidates = Candidates::default();
