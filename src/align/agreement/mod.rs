@@ -11,12 +11,13 @@ pub(crate) mod pattern;
 mod period;
 mod tile;
 mod tile_fit;
+pub(crate) mod warped;
 
 pub(crate) use period::periods;
 pub(crate) use tile_fit::{TileFit, fit};
 
-use crate::align::agreement::pattern::Warped;
 use crate::align::agreement::tile::{Tile, check_tile};
+use crate::align::agreement::warped::{Part, Warped};
 use crate::align::photometric::CommonExposure;
 use crate::align::transform::map;
 use crate::statistics::median;
@@ -43,9 +44,10 @@ pub struct Agreement {
     pub agreeing: usize,
     /// Number of tiles with enough structure whose best match is at another position, or that match nowhere.
     pub disagreeing: usize,
-    /// Number of tiles that are uniform, too dark, too bright, or outside the frame; also of tiles that are faint in
-    /// both frames and match nowhere, and of tiles that did not move with the scene, if they are at most half of those
-    /// that can be compared.
+    /// Number of the other tiles. There are three kinds: tiles that are uniform, too dark, too bright, or mostly
+    /// outside the frame; tiles that are faint in both frames and match nowhere; and tiles that stayed at the same
+    /// pixels although the transform moves them. (The last kind counts as disagreeing if it is more than half of the
+    /// tiles that can be compared.)
     pub undecided: usize,
     /// Number of cells of a 3 x 3 grid over the picture that contain an agreeing tile, 0..=9.
     pub parts: usize,
@@ -135,8 +137,8 @@ pub struct TileDisplacement {
 pub struct TileCheck {
     /// The summary of all tiles.
     pub agreement: Agreement,
-    /// The correlation of each tile at its position; none for a tile with too little contrast or outside the
-    /// frame, and for a tile that is faint in both frames and matches nowhere.
+    /// The correlation of each tile at its position. None for a tile with too little contrast, for a tile that is
+    /// mostly outside the frame, and for a tile that is faint in both frames and matches nowhere.
     pub correlations: Vec<Option<f32>>,
     /// The displacements of the agreeing tiles whose best match is not at the edge of the search range.
     pub displacements: Vec<TileDisplacement>,
@@ -153,12 +155,11 @@ pub fn check_tiles(both: &CommonExposure, h: &Matrix3<f64>) -> TileCheck {
     let plain = OnceLock::new();
     let plain = || plain.get_or_init(|| Warped::new(&both.frame, &Matrix3::identity(), (width, height), 0));
     let checked = |i| {
-        let place = (i % columns * side, i / columns * side);
-        let middle = |at: usize| (at + side / 2) as f64;
-        let (x, y) = (middle(place.0), middle(place.1));
+        let part = Part::square(i % columns * side, i / columns * side, side);
+        let [x, y] = part.centre();
         let (u, v) = map(h, x, y);
         let moves = (u - x) * (u - x) + (v - y) * (v - y) > (REACH * REACH) as f64;
-        check_tile(both, &warped, || moves.then(plain), place, side)
+        check_tile(both, &warped, || moves.then(plain), part)
     };
     let tiles: Vec<Tile> = (0..rows * columns).into_par_iter().map(checked).collect();
     let mut sum = Agreement::default();
@@ -171,10 +172,9 @@ pub fn check_tiles(both: &CommonExposure, h: &Matrix3<f64>) -> TileCheck {
             Tile::Undecided => sum.undecided += 1,
             Tile::Disagrees { .. } => sum.disagreeing += 1,
             Tile::Still { .. } => still += 1,
-            Tile::Agrees { offset, peak, .. } => {
+            Tile::Agrees { offset, displacement, .. } => {
                 sum.agreeing += 1;
-                let middle = |at: usize| (at * side) as f64 + (side as f64 - 1.0) / 2.0;
-                displacements.extend(peak.map(|p| p.about([middle(i % columns), middle(i / columns)])));
+                displacements.extend(displacement);
                 parts[i / columns * 3 / rows * 3 + i % columns * 3 / columns] = true;
                 offsets.push(offset);
             }

@@ -1,16 +1,14 @@
-//! The pattern of a tile (a square of the reference): its pixels minus their mean; and the normalised cross-correlation
-//! of the pattern with the frame.
+//! The pattern of a tile (a rectangle of the reference): its pixels minus their mean; and the normalised
+//! cross-correlation of the pattern with the frame.
 //!
-//! In: two frames at a common exposure, the second warped to the reference's grid, and a square. Out: correlations at
-//! whole-pixel shifts, and the paraboloid around the best one. Cost: three multiply-adds per pixel and shift. Source:
-//! Lewis 1995 (see [`agreement`](crate::align::agreement)).
+//! In: two frames at a common exposure, the second warped to the reference's grid, and a rectangle. Out: correlations
+//! at whole-pixel shifts, and the paraboloid around the best one. Cost: three multiply-adds per pixel and shift.
+//! Source: Lewis 1995 (see [`agreement`](crate::align::agreement)).
 
 use crate::align::agreement::TileDisplacement;
+use crate::align::agreement::warped::{Part, Warped};
 use crate::align::photometric::CommonExposure;
-use crate::align::transform::map;
-use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};
-use nalgebra::Matrix3;
 
 /// A tile is undecided if the standard deviation of its pixels is less than this, in grey values. Only pixels with at
 /// least `LEAST_WEIGHT` are used.
@@ -22,102 +20,6 @@ const LEAST_PIXELS: f32 = 64.0;
 
 /// Pixels whose grey value has a weight (0..=1, see `ToneTables::weight`) below this are ignored.
 const LEAST_WEIGHT: f32 = 0.01;
-
-/// A frame on the reference's grid, with a margin on all sides.
-pub(crate) struct Warped {
-    /// The pixels of the frame; NaN in the margin and outside the frame.
-    plane: Plane<f32>,
-    margin: usize,
-}
-
-impl Warped {
-    /// Warps `frame` with the transform `h`, reference -> frame in pixels of the planes.
-    pub(crate) fn new(frame: &Plane<f32>, h: &Matrix3<f64>, (width, height): (usize, usize), margin: usize) -> Self {
-        let is_identity = *h == Matrix3::identity();
-        let mut plane = Plane::filled(width + 2 * margin, height + 2 * margin, f32::NAN);
-        plane.fill_rows(|row_at, row| {
-            let Some(y) = row_at.checked_sub(margin).filter(|&y| y < height) else { return };
-            let row = &mut row[margin..margin + width];
-            if is_identity {
-                // This gives the same values as `WarpRow`, which omits the frame's last row and column because they
-                // have no next neighbour to interpolate with.
-                if y + 1 < frame.height() {
-                    let count = width.min(frame.width() - 1);
-                    row[..count].copy_from_slice(&frame.row(y)[..count]);
-                }
-            } else {
-                vectorised(WarpRow { frame, h, y, row });
-            }
-        });
-        Warped { plane, margin }
-    }
-
-    /// Largest shift at which patterns can be compared, in pixels.
-    pub(crate) fn reach(&self) -> isize {
-        self.margin as isize
-    }
-}
-
-/// Computes row `y` of a frame on the reference's grid; leaves pixels outside the frame as they are.
-struct WarpRow<'a> {
-    frame: &'a Plane<f32>,
-    h: &'a Matrix3<f64>,
-    y: usize,
-    row: &'a mut [f32],
-}
-
-impl Loops for WarpRow<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run(self) {
-        let WarpRow { frame, h, y, row } = self;
-        let (right, bottom) = (frame.width() as f64 - 1.0, frame.height() as f64 - 1.0);
-        let is_inside = |(u, w): (f64, f64)| u >= 0.0 && w >= 0.0 && u < right && w < bottom;
-        for (start, piece) in row.chunks_mut(PIECE).enumerate().map(|(i, p)| (i * PIECE, p)) {
-            // Over a few pixels a homography is linear to within some thousandths of a pixel.
-            let from = map(h, start as f64, y as f64);
-            let to = map(h, (start + PIECE) as f64, y as f64);
-            let step = ((to.0 - from.0) / PIECE as f64, (to.1 - from.1) / PIECE as f64);
-            let at = |i: usize| (from.0 + step.0 * i as f64, from.1 + step.1 * i as f64);
-            let (first, last) = (at(0), at(piece.len() - 1));
-            let (column, line) = (first.0 as usize, first.1 as usize);
-            let is_one_line = is_inside(first) && is_inside(last) && line == last.1 as usize;
-            if let (true, Ok(piece)) = (is_one_line, <&mut [f32; PIECE]>::try_from(&mut *piece))
-                && last.0 as usize == column + PIECE - 1
-            {
-                // All pixels of the piece are between the same two rows of the frame, each one column to the right of
-                // the one before.
-                let pixels = |y: usize| frame.row(y)[column..].first_chunk::<{ PIECE + 1 }>();
-                let Some((upper, lower)) = pixels(line).zip(pixels(line + 1)) else { continue };
-                for (i, v) in piece.iter_mut().enumerate() {
-                    let (u, w) = at(i);
-                    let (fx, fy) = ((u - (column + i) as f64) as f32, (w - line as f64) as f32);
-                    *v = blend((upper[i], upper[i + 1]), (lower[i], lower[i + 1]), (fx, fy));
-                }
-            } else {
-                for (i, v) in piece.iter_mut().enumerate().filter(|(i, _)| is_inside(at(*i))) {
-                    let (u, w) = at(i);
-                    let (x, y) = (u as usize, w as usize);
-                    let (upper, lower) = (&frame.row(y)[x..x + 2], &frame.row(y + 1)[x..x + 2]);
-                    let fractions = ((u - x as f64) as f32, (w - y as f64) as f32);
-                    *v = blend((upper[0], upper[1]), (lower[0], lower[1]), fractions);
-                }
-            }
-        }
-    }
-}
-
-/// Returns the value at the fractions (`fx`, `fy`) of the way between four pixels: (left, right) of the upper and the
-/// lower row.
-#[inline(always)]
-fn blend(upper: (f32, f32), lower: (f32, f32), (fx, fy): (f32, f32)) -> f32 {
-    let (top, bottom) = (upper.0 + fx * (upper.1 - upper.0), lower.0 + fx * (lower.1 - lower.0));
-    top + fy * (bottom - top)
-}
-
-/// Length, in pixels, of the parts of a row within which positions are interpolated linearly.
-const PIECE: usize = 16;
 
 /// Error of the measured displacement of a tile, in pixels of the planes: root mean square over tiles that are not
 /// displaced. The error has two causes: interpolation, and the paraboloid that approximates the peak of the
@@ -165,9 +67,7 @@ impl Peak {
 
 /// The pixels of a tile in the reference minus their mean; 0 where the weight is below `LEAST_WEIGHT`.
 pub(crate) struct Pattern {
-    left: usize,
-    top: usize,
-    side: usize,
+    part: Part,
     /// The pixels, row by row.
     values: Vec<f32>,
     /// 1 where a pixel has enough weight, 0 elsewhere.
@@ -180,33 +80,28 @@ pub(crate) struct Pattern {
 
 impl Pattern {
     /// The pattern of a tile; none if it has too little contrast or fewer than [`LEAST_PIXELS`] usable pixels.
-    pub(crate) fn new(both: &CommonExposure, left: usize, top: usize, side: usize) -> Option<Self> {
-        Self::with_contrast(both, left, top, side, LEAST_CONTRAST)
+    pub(crate) fn new(both: &CommonExposure, part: Part) -> Option<Self> {
+        Self::with_contrast(both, part, LEAST_CONTRAST)
     }
 
     /// The pattern of a tile; none if the standard deviation of its pixels is less than `least`, in grey values, or if
     /// fewer than [`LEAST_PIXELS`] are usable.
-    pub(super) fn with_contrast(
-        both: &CommonExposure,
-        left: usize,
-        top: usize,
-        side: usize,
-        least: f32,
-    ) -> Option<Self> {
-        let mut values = Vec::with_capacity(side * side);
-        let mut mask = Vec::with_capacity(side * side);
-        for y in top..top + side {
-            values.extend_from_slice(&both.reference.row(y)[left..left + side]);
+    pub(super) fn with_contrast(both: &CommonExposure, part: Part, least: f32) -> Option<Self> {
+        let mut values = Vec::with_capacity(part.width * part.height);
+        let mut mask = Vec::with_capacity(part.width * part.height);
+        for y in part.top..part.top + part.height {
+            values.extend_from_slice(&both.reference.row(y)[part.left..part.left + part.width]);
         }
         mask.extend(values.iter().map(|&v| if both.tones.weight(v) >= LEAST_WEIGHT { 1.0 } else { 0.0 }));
         let (count, energy) = vectorised(Centre { values: &mut values, mask: &mask });
         let is_decided = count >= LEAST_PIXELS && energy >= least * least * count;
-        is_decided.then_some(Pattern { left, top, side, values, mask, count, energy })
+        is_decided.then_some(Pattern { part, values, mask, count, energy })
     }
 
-    /// Whether the standard deviation of the pixels is less than twice [`LEAST_CONTRAST`], both in the reference and,
-    /// at the position that the transform gives, in the frame. If only the reference is faint, noise does not explain
-    /// the contrast of the frame.
+    /// Whether the pattern has little contrast in the reference, and the frame has little contrast where the transform
+    /// puts the pattern: a standard deviation of less than twice [`LEAST_CONTRAST`]. If such a pattern matches
+    /// nowhere, the reason may be noise. If the frame has more contrast, noise is not the reason: the frame shows
+    /// something else there than the reference.
     pub(super) fn is_faint_in_both(&self, warped: &Warped) -> bool {
         let faint = 4.0 * LEAST_CONTRAST * LEAST_CONTRAST * self.count;
         self.energy < faint && self.moments(warped, (0, 0)).0 < faint
@@ -220,8 +115,9 @@ impl Pattern {
         if variance.is_nan() { f32::NAN } else { products / (self.energy * variance.max(0.25 * self.count)).sqrt() }
     }
 
-    /// Returns two sums over the pixels with enough weight: the squares of the frame's grey values minus their mean,
-    /// and their products with the pattern. NaN if any pixel of the shifted square is outside the frame.
+    /// Returns two sums over the pixels with enough weight. The mean of the frame's grey values is subtracted from
+    /// each grey value; the first sum is that of the squares of these differences, the second that of their products
+    /// with the pattern. NaN if any pixel of the shifted pattern is outside the frame.
     fn moments(&self, warped: &Warped, shift: Shift) -> (f32, f32) {
         let [sum, squares, products] = vectorised(Moments { pattern: self, warped, shift });
         (squares - sum * sum / self.count, products)
@@ -277,12 +173,10 @@ impl Loops for Moments<'_> {
         let (mut sums, mut squares, mut products) = ([0.0f32; LANES], [0.0f32; LANES], [0.0f32; LANES]);
         // The sums over the last columns of each row, whose number is less than `LANES`.
         let mut rest = [0.0f32; 3];
-        let margin = warped.reach();
-        let left = (pattern.left as isize + margin + dx) as usize;
-        let rows = pattern.values.chunks_exact(pattern.side).zip(pattern.mask.chunks_exact(pattern.side));
+        let Part { left, top, width, .. } = pattern.part;
+        let rows = pattern.values.chunks_exact(width).zip(pattern.mask.chunks_exact(width));
         for (y, (values, mask)) in rows.enumerate() {
-            let frame =
-                &warped.plane.row(((pattern.top + y) as isize + margin + dy) as usize)[left..left + pattern.side];
+            let frame = warped.row((left as isize + dx, (top + y) as isize + dy), width);
             let (v, v_rest) = values.as_chunks::<LANES>();
             let (m, m_rest) = mask.as_chunks::<LANES>();
             let (f, f_rest) = frame.as_chunks::<LANES>();

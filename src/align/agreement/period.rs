@@ -8,7 +8,8 @@
 //! similarity stays low. In a facade, it is high again when the shift is the period, and low when it is half the
 //! period.
 
-use crate::align::agreement::pattern::{LEAST_CONTRAST, Pattern, Shift, Warped};
+use crate::align::agreement::pattern::{LEAST_CONTRAST, Pattern, Shift};
+use crate::align::agreement::warped::{Part, Warped};
 use crate::align::agreement::{Agreement, check_tiles};
 use crate::align::grey::{GreyPyramid, level_within, measured_level};
 use crate::align::refinement::{FramePair, refine};
@@ -65,7 +66,7 @@ pub(crate) fn periods(picture: &GreyPyramid, max_shift: f64) -> Option<Vec<(f64,
         let patch = |i: usize| {
             let place = |at: usize, length: usize| (2 * at + 1) * length / (2 * PATCHES) - SIDE / 2;
             let (left, top) = (place(i % PATCHES, width), place(i / PATCHES, height));
-            Some(((left, top), Pattern::with_contrast(both, left, top, SIDE, contrast)?))
+            Some(((left, top), Pattern::with_contrast(both, Part::square(left, top, SIDE), contrast)?))
         };
         (0..PATCHES * PATCHES).filter_map(patch).collect()
     };

@@ -67,7 +67,7 @@ fn still_tiles_are_ignored_unless_they_are_the_majority() {
             row[columns..].copy_from_slice(&moved.row(y)[columns..]);
         })
     };
-    // Tiles are 30 px wide. Seven of sixteen columns are still, then ten.
+    // Tiles are 30 px wide. First the overlay covers seven of sixteen columns, then ten.
     let few = agreement_of(&reference, &with_overlay(210), &truth);
     assert!(few.disagreeing <= 10 && few.agreeing > 50, "{few:?}");
     let many = agreement_of(&reference, &with_overlay(300), &truth);
@@ -96,6 +96,19 @@ fn outside_the_frame_tiles_are_silent() {
     // with ten tiles each.
     assert!(found.undecided >= 40 && found.agreeing + found.disagreeing <= 120 && found.agreeing > 60, "{found:?}");
     assert_eq!(found.disagreeing, 0, "{found:?}");
+}
+
+#[test]
+fn a_tile_is_compared_if_the_frame_shows_at_least_half_of_it() {
+    // Tiles are 30 px wide. The first frame lacks the last 10 px of the reference, the second the last 20 px.
+    for (dx, is_compared) in [(10.0, true), (20.0, false)] {
+        let (reference, frame) = (taken(&Transform::Identity, 0.0), taken(&shift(dx, 0.0), 0.0));
+        let h = shift(dx, 0.0).matrix(SIZE.0, SIZE.1);
+        let both = CommonExposure::new(&reference, &frame, &ToneTables::between(&reference, &frame, &h));
+        let check = check_tiles(&both, &h);
+        assert_eq!(check.correlations.iter().skip(15).step_by(16).any(Option::is_some), is_compared, "{dx}");
+        assert_eq!(check.agreement.disagreeing, 0, "{dx}");
+    }
 }
 
 #[test]

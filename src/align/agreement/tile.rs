@@ -5,8 +5,9 @@
 //! pixel.
 //! Source: Lewis 1995 (see [`agreement`](crate::align::agreement)).
 
-use crate::align::agreement::REACH;
-use crate::align::agreement::pattern::{Pattern, Peak, Shift, Warped};
+use crate::align::agreement::pattern::{Pattern, Peak, Shift};
+use crate::align::agreement::warped::{Part, Warped};
+use crate::align::agreement::{REACH, TileDisplacement};
 use crate::align::photometric::CommonExposure;
 
 /// The result for one tile. `correlation` is the one at the position given by the transform. `offset` is the distance
@@ -17,7 +18,7 @@ pub(super) enum Tile {
     Agrees {
         offset: f32,
         correlation: f32,
-        peak: Option<Peak>,
+        displacement: Option<TileDisplacement>,
     },
     Disagrees {
         correlation: f32,
@@ -89,17 +90,17 @@ impl Correlations<'_> {
     }
 }
 
-/// Checks the tile of `side` x `side` pixels whose top-left pixel is (`left`, `top`).
+/// Checks a tile. If the frame shows only a part of it, this part is checked, if it is at least half of the tile.
 ///
 /// `unmoved` returns the frame without any motion; none if the transform moves the tile by no more than [`REACH`].
 pub(super) fn check_tile<'w>(
     both: &CommonExposure,
     warped: &Warped,
     unmoved: impl Fn() -> Option<&'w Warped>,
-    (left, top): (usize, usize),
-    side: usize,
+    tile: Part,
 ) -> Tile {
-    let Some(pattern) = Pattern::new(both, left, top, side) else { return Tile::Undecided };
+    let Some(part) = warped.shown(tile) else { return Tile::Undecided };
+    let Some(pattern) = Pattern::new(both, part) else { return Tile::Undecided };
     let mut correlations = Correlations { pattern: &pattern, warped, known: [[None; SPAN]; SPAN] };
     let here = correlations.at((0, 0));
     if here.is_nan() {
@@ -128,7 +129,7 @@ pub(super) fn check_tile<'w>(
     Tile::Agrees {
         offset: (x * x + y * y).sqrt(),
         correlation: here,
-        peak: Peak::around(best.1, |shift| correlations.at(shift)),
+        displacement: Peak::around(best.1, |shift| correlations.at(shift)).map(|peak| peak.about(part.centre())),
     }
 }
 

@@ -6,7 +6,8 @@
 //! Photography", SIGGRAPH Asia 2016, section 4; normalised cross-correlation (Lewis 1995).
 
 use crate::align::agreement::TileDisplacement;
-use crate::align::agreement::pattern::{Pattern, Peak, Shift, Warped};
+use crate::align::agreement::pattern::{Pattern, Peak, Shift};
+use crate::align::agreement::warped::{Part, Warped};
 use crate::align::grey::measured_level;
 use crate::align::photometric::CommonExposure;
 use crate::align::refinement::FramePair;
@@ -223,7 +224,7 @@ impl<'a> PatchSearch<'a> {
     /// Returns the match of the patch whose first pixel is `first`; none if the patch has too little contrast, too few
     /// usable pixels, or is not completely inside the frame. `candidates` are shifts from which the search may start.
     fn find<'c>(&self, first: [usize; 2], candidates: impl Iterator<Item = &'c Shift>) -> Option<Match> {
-        let pattern = Pattern::new(self.both, first[0], first[1], SIDE)?;
+        let pattern = Pattern::new(self.both, Part::square(first[0], first[1], SIDE))?;
         let mut correlations = Correlations { pattern: &pattern, warped: &self.warped, known: Vec::with_capacity(64) };
         let (best, shift) = correlations.search(candidates)?;
         let centre = centre(first);

@@ -1,7 +1,8 @@
 //! Tests of local displacements, with scenes in which a part moves.
 
 use super::*;
-use crate::align::agreement::pattern::{Pattern, Warped};
+use crate::align::agreement::pattern::Pattern;
+use crate::align::agreement::warped::{Part, Warped};
 use crate::align::grey::GreyPyramid;
 use crate::align::local::matching;
 use crate::align::refinement::FramePair;
@@ -170,7 +171,7 @@ fn coarse_to_fine_finds_what_a_full_search_finds() {
         let [x, y] = found.centre(i).map(|at| (at - 7.5) as usize);
         let is_inner = x > 32 && y > 32 && x + 48 < SIZE.0 && y + 48 < SIZE.1;
         let Some(displacement) = found.all[i].and_then(|m| m.displacement()).filter(|_| is_inner) else { continue };
-        let Some(pattern) = Pattern::new(both, x, y, 16) else { continue };
+        let Some(pattern) = Pattern::new(both, Part::square(x, y, 16)) else { continue };
         let shifts = (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (dx, dy)));
         let best = shifts
             .map(|shift| (pattern.correlation(&warped, shift), shift))
