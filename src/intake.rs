@@ -10,8 +10,9 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-/// Largest size of response files, files of transforms and reports, in bytes. A JSON report of a bracket has about 2 kB
-/// per photograph, a file of transforms less than 1 kB per photograph, and a response file at most 30 kB in all.
+/// Largest size of reports, of response files, and of files with transforms, in bytes. A JSON report of a bracket has
+/// about 2 kB per photograph, a file with transforms less than 1 kB per photograph. A response file that hdralign
+/// writes has at most 30 kB.
 pub(crate) const MOST_OF_A_TEXT: u64 = 64 << 20;
 
 /// Largest size of a plan of batch jobs, in bytes. One job takes about 1 kB.

@@ -1,11 +1,10 @@
 //! Comparing: whether two radiance maps, or two pictures, are the same within a tolerance.
 //!
 //! In: the expected file, the actual file, and [`Options`]. Out: a [`Comparison`] with its outcome, the differences in
-//! stops or in dE, PU21-PSNR and MS-SSIM; and, if requested, a false-colour picture. Cost: reading both files, then up
-//! to 0.2 us for every pixel if any pixel differs, and 0.7 us for each pixel of a picture that differs (for
-//! every pixel if the profiles differ). Sources:
-//! CIEDE2000 (Sharma, Wu & Dalal 2005), PU21 (Mantiuk & Azimi 2021), MS-SSIM (Wang, Simoncelli & Bovik 2003), each in
-//! the file of its name.
+//! stops or in dE, PU21-PSNR and MS-SSIM; and, if requested, a false-colour picture. Cost: reading both files. If any
+//! pixel differs, also up to 0.2 us for every pixel; for pictures, another 0.7 us for each pixel that differs (for
+//! every pixel if the profiles differ). Sources: CIEDE2000 (Sharma, Wu & Dalal 2005), PU21 (Mantiuk & Azimi 2021),
+//! MS-SSIM (Wang, Simoncelli & Bovik 2003), each in the file of its name.
 //!
 //! Radiance is compared with radiance, and pictures with pictures. The colours that pixels represent are compared: if
 //! two radiance maps have different primaries, the second is converted to those of the first; of two pictures with 8

@@ -3,10 +3,10 @@
 //! In: the placements of all frames. Out: the same placements, with the share of the parts that are displaced, an
 //! error that usually includes them, and a confidence that is reduced by both. In the mode `auto`, the dominant motion
 //! of the cells may replace the transform of a frame: if the frame moved, and the dominant motion fits more of the
-//! picture. Cost: a [`LocalField`] for each placed frame whose transform was estimated, with that of its finer level
-//! and of the dominant motion where they are tried. The planes of a frame are computed again, except in the mode
-//! `auto` for a frame that the bitmaps aligned to the reference without doubt: it is checked while its planes are in
-//! memory, and again only if its placement is changed afterwards.
+//! picture. Cost: a [`LocalField`] for each placed frame whose transform was estimated; for some frames a second one
+//! on the finer level. The planes of a frame are computed again for this, with one exception: in the mode `auto`, a
+//! frame that was aligned at the first attempt is checked at once, while its planes are in memory. It is checked a
+//! second time only if its placement was changed afterwards.
 
 use crate::align::AlignMode;
 use crate::align::ladder::Search;

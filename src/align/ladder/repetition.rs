@@ -1,9 +1,10 @@
 //! Scenes that repeat: if a transform is shifted by a period of the scene, the result matches as well, or nearly.
 //!
-//! In: the grey pyramids of a bracket. Out: the periods of the scene, and further candidates, which are refined from
-//! the best one shifted by each period. Cost: that of [`periods`] for the reference; if the reference is dark or has
-//! little detail, also for each frame with more exposure, or for all frames, whose placement is not preset. In a scene
-//! that repeats, also up to two refinements for each period, in each round and for each frame.
+//! In: the grey pyramids of a bracket. Out: the periods of the scene; and further candidates: the best candidate is
+//! shifted by each period and refined. Cost: that of [`periods`] for the reference. If the reference is dark, the
+//! frames with more exposure are examined too; if it has little detail, all frames. (Frames with a preset placement
+//! are not examined.) In a scene that repeats, also the further candidates of each frame: up to [`MOST_ROUNDS`] times
+//! two for each period.
 
 use crate::align::agreement::periods;
 use crate::align::grey::GreyPyramid;
@@ -15,8 +16,8 @@ use crate::align::ladder::starts::by_start;
 use crate::align::transform::{Transform, distance};
 use nalgebra::Matrix3;
 
-/// Largest number of rounds. In each, the best candidate so far is shifted by every period, in both directions. A wrong
-/// one may be several periods off.
+/// Largest number of rounds. In each, the best candidate so far is shifted by every period, in both directions. One
+/// round is not enough if the best candidate is off by several periods.
 const MOST_ROUNDS: usize = 6;
 /// A start that is at most this far from a candidate, in pixels, is not refined: it would usually lead to this
 /// candidate again.
@@ -65,10 +66,11 @@ impl Repetition {
 }
 
 impl Search<'_> {
-    /// Adds the candidates that the best one becomes when it is shifted by a period of the scene: they may match as
-    /// well, or better. If one of them is the best, it is shifted in turn, so that it too is compared with its own
-    /// periods, in at most [`MOST_ROUNDS`] rounds. Unless more tiles agree than disagree under the best candidate, it
-    /// is not shifted: it would only reach another wrong one.
+    /// Adds candidates: the best candidate is shifted by each period of the scene. The shifted ones may match equally
+    /// well, or better. If one of them is then the best, it is shifted in the same way; there are at most
+    /// [`MOST_ROUNDS`] such rounds. So the final best candidate is usually compared with the candidates that
+    /// differ from it by a period. If the best candidate has fewer agreeing than disagreeing tiles, it is not shifted:
+    /// it is wrong by more than periods.
     pub(super) fn shift_by_periods(
         &self,
         i: usize,
@@ -140,7 +142,7 @@ mod tests {
             let repetition = Repetition::find(search);
             let pyramid = Cow::Borrowed(search.reference_pyramid());
             let targets = [Target { pyramid, error_px: 0.0, confidence: 1.0 }];
-            // A half of the period off, nearly every tile disagrees.
+            // If the transform is off by half a period, nearly every tile disagrees.
             let off = shift(4.0 + PERIOD / 2.0, 3.0 + PERIOD / 2.0);
             for (start, is_shifted) in [(TRUTH, true), (off, false)] {
                 let mut candidates = Candidates::default();

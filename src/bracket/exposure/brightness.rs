@@ -79,8 +79,8 @@ struct Step {
     is_well_exposed: bool,
 }
 
-/// Estimates the step from `dark` to `bright`; `None` where too few pixel values or
-/// tones are exposed in both frames.
+/// Estimates the step from `dark` to `bright`. `None` if too many pixels are nearly black or nearly white in one of the
+/// frames, or if the other pixels have too few different grey values.
 fn step(dark: &Brightness, bright: &Brightness) -> Option<Step> {
     let pair = matches(dark, bright)?;
     let is_well_exposed = pair.is_well_exposed;

@@ -173,7 +173,8 @@ fn a_step_that_is_far_off_contradicts() {
 
 #[test]
 fn a_step_between_barely_exposed_frames_does_not_contradict() {
-    // The toe of this curve, like that of film, is three times as steep as that of cameras, so a step seems larger.
+    // The logarithm of this curve is three times as steep as that of the sRGB curve, so a step seems up to three times
+    // as large.
     let film = |light: f64| linear_to_srgb(light * light * light);
     let frames = [-5.0, -3.0].map(|ev| taken(five_decades, ev, 0, film));
     let seen = step(&frames[0], &frames[1]).unwrap();
