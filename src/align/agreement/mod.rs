@@ -104,6 +104,13 @@ impl TileCheck {
         if all > 0.0 { (all - common.max(0.0)).max(0.0) } else { (all - common.min(0.0)).min(0.0) }
     }
 
+    /// Returns the median share of a tile's variance that the transform leaves unexplained, 0..=1; 1 if no tile has a
+    /// correlation.
+    pub(crate) fn unexplained(&self) -> f64 {
+        let shares = self.correlations.iter().flatten().map(|&c| f64::from(1.0 - c.max(0.0) * c.max(0.0)));
+        median(shares).unwrap_or(1.0)
+    }
+
     /// Returns the terms of [`evidence_over`](Self::evidence_over).
     fn evidence_by_tile(&self, other: &TileCheck) -> impl Iterator<Item = f64> {
         let unexplained = |c: f32| f64::from(1.0 - c.max(0.0) * c.max(0.0)) + UNEXPLAINED;
@@ -117,7 +124,7 @@ impl TileCheck {
 /// repeat, the tiles of a wrong transform usually differ by more.
 const MOST_COMMON: f64 = 1.0;
 /// Share of a tile's variance that noise leaves unexplained even under the true transform.
-const UNEXPLAINED: f64 = 0.05;
+pub(crate) const UNEXPLAINED: f64 = 0.05;
 
 /// The displacement of a tile's best match from the position given by the transform.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -4,7 +4,7 @@
 //! In: a pair of frames and a transform. Out: a [`Candidate`]. Cost: [`check_tiles`].
 
 use crate::align::agreement;
-use crate::align::agreement::{Agreement, TileCheck, TileFit, check_tiles};
+use crate::align::agreement::{Agreement, TileCheck, TileFit, UNEXPLAINED, check_tiles};
 use crate::align::grey::measured_level;
 use crate::align::ladder::thresholds::{
     CORROBORATED_CONFIDENCE, SETTLED_AGREEING, SETTLED_DECIDED_PER_DISAGREEING, SETTLED_ERROR_PX, TILE_NOISE_PX,
@@ -74,10 +74,12 @@ impl Candidate {
     }
 
     /// Whether the error is small enough to merge the frame where it has detail: enough tiles agree, and they are
-    /// hardly displaced. The error over the whole picture may be large if most of the frame is clipped or uniform; but
-    /// there a displacement does little harm.
+    /// hardly displaced, or match nearly perfectly although they are displaced, as in a picture out of focus. The error
+    /// over the whole picture may be large if most of the frame is clipped or uniform; but there a displacement does
+    /// little harm.
     pub(super) fn is_precise_at_tiles(&self) -> bool {
-        self.agreement().agreeing >= SETTLED_AGREEING && self.offset_px < self.tolerance_px
+        self.agreement().agreeing >= SETTLED_AGREEING
+            && (self.offset_px < self.tolerance_px || self.tiles.unexplained() <= UNEXPLAINED)
     }
 
     /// The confidence, 0..=1: the agreement of the tiles, reduced by the error estimate.

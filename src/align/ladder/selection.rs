@@ -228,6 +228,10 @@ mod tests {
         assert!(is_acceptable(&with(12, 0, 0.1)) && with(12, 0, 0.1).confidence() < ACCEPTED_CONFIDENCE);
         // The tiles are displaced; there are too few of them; some disagree.
         assert!([with(12, 0, 1.3), with(11, 0, 0.1), with(12, 2, 0.1)].iter().all(|c| !is_acceptable(c)));
+        // The tiles are displaced, but match nearly perfectly: the picture is out of focus.
+        let mut soft = with(12, 0, 1.3);
+        Arc::make_mut(&mut soft.tiles).correlations.fill(Some(0.98));
+        assert!(is_acceptable(&soft) && soft.confidence() < ACCEPTED_CONFIDENCE);
     }
 
     #[test]
