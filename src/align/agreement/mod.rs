@@ -107,16 +107,20 @@ impl TileCheck {
     /// Returns the median share of a tile's variance that the transform leaves unexplained, 0..=1; 1 if no tile has a
     /// correlation.
     pub(crate) fn unexplained(&self) -> f64 {
-        let shares = self.correlations.iter().flatten().map(|&c| f64::from(1.0 - c.max(0.0) * c.max(0.0)));
-        median(shares).unwrap_or(1.0)
+        median(self.correlations.iter().flatten().map(|&c| unexplained(c))).unwrap_or(1.0)
     }
 
     /// Returns the terms of [`evidence_over`](Self::evidence_over).
     fn evidence_by_tile(&self, other: &TileCheck) -> impl Iterator<Item = f64> {
-        let unexplained = |c: f32| f64::from(1.0 - c.max(0.0) * c.max(0.0)) + UNEXPLAINED;
         let both = self.correlations.iter().zip(&other.correlations).filter_map(|(a, b)| Some(((*a)?, (*b)?)));
-        both.map(move |(a, b)| libm::log(unexplained(b) / unexplained(a)))
+        both.map(move |(a, b)| libm::log((unexplained(b) + UNEXPLAINED) / (unexplained(a) + UNEXPLAINED)))
     }
+}
+
+/// Returns the share of a tile's variance that a transform leaves unexplained if the tile has the correlation `c` under
+/// it, 0..=1. A negative correlation counts as 0.
+fn unexplained(c: f32) -> f64 {
+    f64::from(1.0 - c.max(0.0) * c.max(0.0))
 }
 
 /// Largest evidence per tile, in nats, that [`distinction_from`](TileCheck::distinction_from) subtracts. In rendered

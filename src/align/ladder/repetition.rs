@@ -69,8 +69,8 @@ impl Search<'_> {
     /// Adds candidates: the best candidate is shifted by each period of the scene. The shifted ones may match equally
     /// well, or better. If one of them is then the best, it is shifted in the same way; there are at most
     /// [`MOST_ROUNDS`] such rounds. So the final best candidate is usually compared with the candidates that
-    /// differ from it by a period. If the best candidate has fewer agreeing than disagreeing tiles, it is not shifted:
-    /// it is wrong by more than periods.
+    /// differ from it by a period. It is shifted only if more tiles agree with it than disagree; otherwise it is
+    /// wrong by more than periods.
     pub(super) fn shift_by_periods(
         &self,
         i: usize,
