@@ -55,7 +55,7 @@ impl Writer {
     /// # Errors
     /// [`Error::Write`](crate::error::Error::Write).
     pub fn new(file: Pending, size: (usize, usize), metadata: &Metadata, depth: Depth, scale: f32) -> Result<Self> {
-        let mut strips = Strips::begin(file, size, 32)?;
+        let mut strips = Strips::begin(file, size, 3, 32)?;
         let directory = &mut strips.directory;
         // These bits are those of the 16-bit values that libtiff exchanges with programs. The stored bits are defined
         // by the compression.

@@ -14,7 +14,7 @@ pub trait Sample: Copy + Send + Sync + 'static {
 
     /// Appends the bytes of `row` as differences from the pixel on the left: little-endian for integers, byte by byte
     /// for floats.
-    fn put_predicted(row: &[[Self; 3]], out: &mut Vec<u8>);
+    fn put_predicted<const N: usize>(row: &[[Self; N]], out: &mut Vec<u8>);
 }
 
 impl Sample for u8 {
@@ -22,10 +22,10 @@ impl Sample for u8 {
     const FORMAT: u16 = 1;
     const PREDICTOR: u16 = 2;
 
-    fn put_predicted(row: &[[u8; 3]], out: &mut Vec<u8>) {
-        let mut left = [0u8; 3];
+    fn put_predicted<const N: usize>(row: &[[u8; N]], out: &mut Vec<u8>) {
+        let mut left = [0u8; N];
         for p in row {
-            out.extend((0..3).map(|c| p[c].wrapping_sub(left[c])));
+            out.extend((0..N).map(|c| p[c].wrapping_sub(left[c])));
             left = *p;
         }
     }
@@ -36,10 +36,10 @@ impl Sample for u16 {
     const FORMAT: u16 = 1;
     const PREDICTOR: u16 = 2;
 
-    fn put_predicted(row: &[[u16; 3]], out: &mut Vec<u8>) {
-        let mut left = [0u16; 3];
+    fn put_predicted<const N: usize>(row: &[[u16; N]], out: &mut Vec<u8>) {
+        let mut left = [0u16; N];
         for p in row {
-            for c in 0..3 {
+            for c in 0..N {
                 out.extend_from_slice(&p[c].wrapping_sub(left[c]).to_le_bytes());
             }
             left = *p;
@@ -53,16 +53,16 @@ impl Sample for f32 {
     const PREDICTOR: u16 = 3;
 
     /// Appends the highest bytes of all samples of the row, then all second, third and fourth bytes. Each byte is
-    /// stored as its difference from the byte three places before.
-    fn put_predicted(row: &[[f32; 3]], out: &mut Vec<u8>) {
+    /// stored as its difference from the byte one pixel before.
+    fn put_predicted<const N: usize>(row: &[[f32; N]], out: &mut Vec<u8>) {
         let samples = row.as_flattened();
         let start = out.len();
         for byte in 0..4 {
             out.extend(samples.iter().map(|v| v.to_be_bytes()[byte]));
         }
         let bytes = &mut out[start..];
-        for i in (3..bytes.len()).rev() {
-            bytes[i] = bytes[i].wrapping_sub(bytes[i - 3]);
+        for i in (N..bytes.len()).rev() {
+            bytes[i] = bytes[i].wrapping_sub(bytes[i - N]);
         }
     }
 }

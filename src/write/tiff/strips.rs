@@ -18,8 +18,9 @@ pub(crate) struct Strips {
 }
 
 impl Strips {
-    /// Starts a picture of `size` pixels with `bits_per_pixel` bits before compression, in strips of 64 rows.
-    pub(crate) fn begin(mut file: Pending, size: (usize, usize), bits_per_pixel: u64) -> Result<Self> {
+    /// Starts a picture of `size` pixels, each of `samples` samples, with `bits_per_pixel` bits before compression, in
+    /// strips of 64 rows.
+    pub(crate) fn begin(mut file: Pending, size: (usize, usize), samples: u16, bits_per_pixel: u64) -> Result<Self> {
         let (width, height) = (size.0 as u64, size.1 as u64);
         let raw = width * height * bits_per_pixel / 8;
         // A BigTIFF is chosen if the file may exceed 4 GB: compressed noise can be a little larger than `raw`, and
@@ -28,7 +29,7 @@ impl Strips {
         directory.long(tag::WIDTH, &[width]);
         directory.long(tag::HEIGHT, &[height]);
         directory.long(tag::ROWS_PER_STRIP, &[BAND_ROWS as u64]);
-        directory.short(tag::SAMPLES, &[3]);
+        directory.short(tag::SAMPLES, &[samples]);
         directory.short(tag::PLANAR, &[1]);
         let start = directory.file_header(0);
         file.put(&start)?;

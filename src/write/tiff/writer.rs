@@ -50,7 +50,7 @@ impl<T: Sample> Writer<T> {
         metadata: &Metadata,
         describe: impl FnOnce(&mut Directory),
     ) -> Result<Self> {
-        let mut strips = Strips::begin(file, size, 3 * u64::from(T::BITS))?;
+        let mut strips = Strips::begin(file, size, 3, 3 * u64::from(T::BITS))?;
         let directory = &mut strips.directory;
         directory.short(tag::BITS, &[T::BITS; 3]);
         directory.short(tag::COMPRESSION, &[8]);
@@ -99,7 +99,12 @@ impl<T: Sample> RowWriter<[T; 3]> for Writer<T> {
 }
 
 /// Appends a compressed strip.
-fn pack<T: Sample>(pixels: &[[T; 3]], width: usize, raw: &mut Vec<u8>, out: &mut Vec<u8>) -> io::Result<()> {
+pub(super) fn pack<T: Sample, const N: usize>(
+    pixels: &[[T; N]],
+    width: usize,
+    raw: &mut Vec<u8>,
+    out: &mut Vec<u8>,
+) -> io::Result<()> {
     raw.clear();
     raw.reserve(size_of_val(pixels));
     for row in pixels.chunks_exact(width) {
