@@ -62,6 +62,12 @@ const SHEET: u64 = 24 << 20;
 /// Largest number of drawings that are computed at a time, one per thread. It is the number of drawings of one frame.
 const SHEETS: u64 = 6;
 
+/// Bytes that the measurement of depth takes per pixel of its level: the costs of all labels and their sums, and the
+/// variables of the smoothing. In addition, each frame takes [`SHOWN`] bytes.
+const RELIEF: u64 = 3 * Demand::MOST_LABELS + 64;
+/// Bytes of the grey values of a frame per pixel of the level on which depth is measured: a float and a byte.
+const SHOWN: u64 = 5;
+
 /// The stages of a run that determine its memory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct Stages {
@@ -73,6 +79,8 @@ pub(crate) struct Stages {
     pub deghosting: bool,
     /// Whether frames are fused.
     pub fusing: bool,
+    /// Whether the displacements of all pixels are measured.
+    pub displacing: bool,
     /// Whether `inspect` draws the data of the alignment.
     pub inspecting: bool,
 }
@@ -100,6 +108,8 @@ impl Demand {
     /// Largest number of cells of deghosting. It is exceeded only if even the largest cells, of 8 x 8 pixels, are
     /// more.
     pub const MOST_CELLS: u64 = 1 << 18;
+    /// Largest number of depths that are compared for each pixel.
+    pub const MOST_LABELS: u64 = 64;
     /// Largest number of cells of the overview of tone mapping (a grid of mean luminances).
     const OVERVIEW_CELLS: u64 = 1 << 20;
 
@@ -119,13 +129,24 @@ impl Demand {
         one.thread() + 4 * one.scale_space()
     }
 
-    /// Bytes of the scale space on the pyramid level that is used for agreement and features.
-    fn scale_space(&self) -> u64 {
+    /// Number of pixels of the pyramid level that is used for agreement, features and depth.
+    fn measured_pixels(&self) -> u64 {
         let mut pixels = self.pixels();
         while pixels > Demand::MEASURED_PIXELS {
             pixels /= 4;
         }
-        SCALE_SPACE * pixels
+        pixels
+    }
+
+    /// Bytes of the scale space on the pyramid level that is used for agreement and features.
+    fn scale_space(&self) -> u64 {
+        SCALE_SPACE * self.measured_pixels()
+    }
+
+    /// Bytes of the measurement of depth.
+    fn relief(&self) -> u64 {
+        let bytes = RELIEF + SHOWN * self.frames as u64;
+        if self.stages.displacing { bytes * self.measured_pixels() } else { 0 }
     }
 
     /// Bytes of a grey pyramid. The pyramid of a frame with more than `WHOLE_PYRAMID` pixels does not include the full
@@ -147,11 +168,12 @@ impl Demand {
         if self.stages.deghosting { held + self.frames as u64 * self.cells() } else { 0 }
     }
 
-    /// Returns the bytes of alignment: the pyramids of all frames, and in addition the largest of three numbers. The
+    /// Returns the bytes of alignment: the pyramids of all frames, and in addition the largest of four numbers. The
     /// first are the bytes of the comparison of frames on `threads` threads. From the coarsest level to the one that
     /// has twice the width and height of the level of the features, the comparison converts whole levels; of finer
     /// levels it reads only patches. The second are the bytes of the features, which are detected in `detecting` frames
     /// at a time. The third is `whole`, the bytes of a frame that is read from disk (0 if all frames are in memory).
+    /// The fourth are the bytes of the measurement of depth.
     ///
     /// Before features are detected, the grey image is doubled in width and height; the bitmaps are not. Each bitmap
     /// is processed by one thread.
@@ -164,7 +186,7 @@ impl Demand {
         let resampled = sides * self.pixels();
         let features = sides * self.pyramid() + resampled.max((3 * detecting + threads) * self.scale_space());
         let features = if self.stages.features { features } else { 0 };
-        let beside = whole.max(2 * threads * self.scale_space()).max(features);
+        let beside = whole.max(2 * threads * self.scale_space()).max(features).max(self.relief());
         if self.stages.inspecting {
             // Each frame has all levels of the pyramid, and two bitmaps.
             let of_frame = self.pixels() * 4 / 3 + self.pixels() / 4;

@@ -14,7 +14,8 @@
 //! 4. [`refinement`]: Lucas & Kanade's iterative alignment on the pixels. [`agreement`]: the check of a transform, tile
 //!    by tile.
 //! 5. [`preset`] and [`transforms_file`]: transforms that are not estimated, and their file.
-//! 6. `local`: finds the parts of the picture that a transform does not fit.
+//! 6. `local`: finds the parts of the picture that a transform does not fit. `depth`: the motion of each pixel, if the
+//!    scene has depth.
 //! 7. `ladder`: the order of the methods, and the choice among the transforms that they find. `diagnostics`: the data
 //!    that the command `inspect` shows.
 //!
@@ -29,6 +30,7 @@
 pub mod agreement;
 #[doc(hidden)]
 pub mod bitmaps;
+pub(crate) mod depth;
 pub(crate) mod diagnostics;
 #[doc(hidden)]
 pub mod features;
@@ -52,6 +54,7 @@ pub mod transforms_file;
 use crate::bracket::Bracket;
 use crate::error::{Error, Result, Warning};
 use bitmaps::MtbOptions;
+pub use depth::{Motion, motions};
 pub use features::RobustMethod;
 use features::{Detector, RansacOptions, SiftOptions, SurfOptions};
 #[doc(hidden)]

@@ -1,0 +1,134 @@
+//! The direction in which depth displaces the patches of one frame: the start of the joint fit.
+//!
+//! In: the [`Sight`]s of a frame. Out: a [`Start`]: a direction, and a homography that explains the displacements
+//! across this direction. Cost: some thousand multiply-adds per sight. Source: with small motions, all displacements by
+//! depth have nearly the same direction, and the displacements across it are those of a homography. All directions are
+//! tried; least absolute errors by iteratively reweighted least squares.
+
+use crate::align::depth::camera::{EXPECTED_PX, Motion, PARAMETERS};
+use crate::align::depth::sights::Sight;
+use nalgebra::{SMatrix, SVector, Vector2};
+use std::f64::consts::PI;
+
+/// Number of directions that are tried over half a turn.
+const DIRECTIONS: usize = 36;
+/// Number of rounds in which weights are computed again: for the homography, and for each direction.
+const ROUNDS: (usize, usize) = (10, 6);
+/// Strength of the pull towards the homography without depth, per sight. Along the direction of depth, it alone
+/// determines the homography.
+const HOLD: f64 = 1e-3;
+
+type Homography = SVector<f64, 8>;
+
+/// The result of the search for the direction.
+#[derive(Debug, Clone)]
+pub(super) struct Start {
+    /// The homography of least absolute errors, without depth.
+    plain: Homography,
+    /// The homography that explains the displacements across the direction of depth.
+    across: Homography,
+    direction: Vector2<f64>,
+    /// By how much the mean absolute error falls if displacements along the direction are free, in standard deviations.
+    pub(super) gain: f64,
+}
+
+impl Start {
+    /// The motion without depth.
+    pub(super) fn without_depth(&self) -> Motion {
+        let mut all = SVector::<f64, PARAMETERS>::zeros();
+        all.fixed_rows_mut::<8>(0).copy_from(&self.plain);
+        Motion(all)
+    }
+
+    /// Displacement of a patch along the direction, in pixels: its relative depth.
+    pub(super) fn depth(&self, sight: &Sight) -> f64 {
+        let r = sight.displacement - basis(sight) * self.across;
+        let pull = sight.precision * self.direction;
+        r.dot(&pull) / self.direction.dot(&pull).max(1e-12)
+    }
+}
+
+fn basis(sight: &Sight) -> SMatrix<f64, 2, 8> {
+    SMatrix::from_fn(|row, column| Motion::by_homography(sight.at)[row][column])
+}
+
+/// The absolute error of a misfit (in variances), smooth at 0.
+fn absolute(misfit: f64) -> f64 {
+    (misfit + 1.0).sqrt() - 1.0
+}
+
+/// Searches for the direction in which depth displaces the patches.
+pub(super) fn search(sights: &[Sight]) -> Start {
+    let plain = homography(sights);
+    let of_plain = |s: &Sight| {
+        let d = basis(s) * plain;
+        absolute(s.misfit([d.x, d.y]))
+    };
+    let all = sights.iter().map(of_plain).sum::<f64>();
+    let tried = (0..DIRECTIONS).map(|i| {
+        let (sin, cos) = libm::sincos(PI * i as f64 / DIRECTIONS as f64);
+        let direction = Vector2::new(cos, sin);
+        let (across, error) = across(sights, &plain, direction);
+        (error, across, direction)
+    });
+    let start = (all, plain, Vector2::x());
+    let (error, across, direction) = tried.fold(start, |best, other| if other.0 < best.0 { other } else { best });
+    Start { plain, across, direction, gain: (all - error) / sights.len().max(1) as f64 }
+}
+
+/// The homography of least absolute errors.
+fn homography(sights: &[Sight]) -> Homography {
+    let mut h = Homography::zeros();
+    for _ in 0..ROUNDS.0 {
+        let (mut normal, mut right) = (SMatrix::<f64, 8, 8>::zeros(), Homography::zeros());
+        for sight in sights {
+            let basis = basis(sight);
+            let d = basis * h;
+            let weight = 1.0 / (absolute(sight.misfit([d.x, d.y])) + 1.0);
+            let weighed = basis.transpose() * (sight.precision * weight);
+            normal += weighed * basis;
+            right += weighed * sight.displacement;
+        }
+        h = solved(normal, right, 1.0 / (EXPECTED_PX * EXPECTED_PX), &Homography::zeros());
+    }
+    h
+}
+
+/// The homography that explains the displacements across `direction`, near `plain`, and the sum of its errors.
+fn across(sights: &[Sight], plain: &Homography, direction: Vector2<f64>) -> (Homography, f64) {
+    let normal_direction = Vector2::new(-direction.y, direction.x);
+    // For each sight: the derivatives of the displacement across the direction, this displacement, and its precision.
+    let rows: Vec<(Homography, f64, f64)> = sights
+        .iter()
+        .map(|s| {
+            let covariance = s.precision.try_inverse().unwrap_or_else(nalgebra::Matrix2::identity);
+            let variance = (covariance * normal_direction).dot(&normal_direction).max(1e-12);
+            (basis(s).transpose() * normal_direction, s.displacement.dot(&normal_direction), 1.0 / variance)
+        })
+        .collect();
+    let misfit = |h: &Homography, (row, d, precision): &(Homography, f64, f64)| {
+        let r = d - row.dot(h);
+        r * r * precision
+    };
+    let mut h = *plain;
+    for round in 0..ROUNDS.1 {
+        let (mut normal, mut right) = (SMatrix::<f64, 8, 8>::zeros(), Homography::zeros());
+        for row in &rows {
+            let weight = if round == 0 { 1.0 } else { 1.0 / (absolute(misfit(&h, row)) + 1.0) };
+            let weighed = row.0 * (weight * row.2);
+            normal += weighed * row.0.transpose();
+            right += weighed * row.1;
+        }
+        h = solved(normal, right, HOLD * sights.len() as f64, plain);
+    }
+    (h, rows.iter().map(|row| absolute(misfit(&h, row))).sum())
+}
+
+/// Solves the normal equations, with a pull towards `towards` of strength `hold`.
+fn solved(mut normal: SMatrix<f64, 8, 8>, mut right: Homography, hold: f64, towards: &Homography) -> Homography {
+    for i in 0..8 {
+        normal[(i, i)] += hold;
+    }
+    right += towards * hold;
+    normal.cholesky().map_or(*towards, |c| c.solve(&right))
+}

@@ -1,0 +1,306 @@
+//! The depth stages against textbook versions, and against scenes with known depth.
+
+use super::*;
+use crate::align::Placement;
+use crate::align::depth::camera::Motion as CameraMotion;
+use crate::align::depth::semi_global::Choice;
+use crate::align::result::{Estimate, FeatureCounts, Rect};
+use crate::align::scene::{Scene, Shot, photograph, shift, uniform};
+use crate::align::transform::{Model, Transform};
+use nalgebra::{Matrix2, Matrix3, SVector, Vector2};
+
+const SIZE: (usize, usize) = (360, 240);
+
+fn motion(p: [f64; 11]) -> CameraMotion {
+    CameraMotion(SVector::from(p))
+}
+
+/// Two frames of a scene with depth: shifts, turns, and epipoles in different directions.
+fn two_motions() -> [CameraMotion; 2] {
+    [
+        motion([0.8, -1.2, 2.0, 0.5, 0.3, -1.0, 0.4, -0.2, 1.5, 0.6, 0.1]),
+        motion([-0.5, 0.6, -1.0, 0.2, -0.4, 0.7, 0.1, 0.3, -0.4, 1.8, -0.2]),
+    ]
+}
+
+#[test]
+fn camera_maps_pixels_as_the_motion_displaces_them() {
+    let coordinates = Coordinates::new(SIZE);
+    let [motion, _] = two_motions();
+    let h = shift(3.0, -2.0).matrix(SIZE.0, SIZE.1);
+    let camera = Camera::new(&h, &motion, &coordinates);
+    // The same camera in pixels of a picture that is twice as large.
+    let large = camera.at_full_size(&level_to_full(1));
+    for (x, y, q) in [(0.0, 0.0, 0.0), (100.0, 200.0, 1.5), (359.0, 120.0, -2.0)] {
+        let [dx, dy] = motion.displacement(coordinates.of([x, y]), q, coordinates.unit);
+        let (u, v) = camera.position(x, y, q);
+        assert!((u - (x + dx + 3.0)).abs() < 1e-9 && (v - (y + dy - 2.0)).abs() < 1e-9);
+        let (s, t) = large.position(2.0 * x + 0.5, 2.0 * y + 0.5, q);
+        assert!((s - (2.0 * u + 0.5)).abs() < 1e-9 && (t - (2.0 * v + 0.5)).abs() < 1e-9);
+    }
+}
+
+/// Sights of `patches` patches in frames with these motions; `depth` gives the relative depth of a patch at a position.
+/// Each displacement has an error of up to 0.1 pixels along each axis; every tenth is wrong by up to 8 pixels.
+fn sights(motions: &[CameraMotion], patches: usize, depth: impl Fn([f64; 2]) -> f64) -> Vec<Vec<Sight>> {
+    let unit = Coordinates::new(SIZE).unit;
+    let number = |seed: u64, i: usize, j: usize| 2.0 * uniform(seed, i as i64, j as i64) - 1.0;
+    let sight = |frame: usize, i: usize| {
+        let at = [number(1, i, 0), 0.6 * number(1, i, 1)];
+        let error = if (i + frame).is_multiple_of(10) { 8.0 } else { 0.1 };
+        let wrong = [0, 1].map(|axis| error * number(2 + axis as u64, i, frame));
+        let [dx, dy] = motions[frame].displacement(at, depth(at), unit);
+        Sight {
+            patch: i,
+            at,
+            displacement: Vector2::new(dx + wrong[0], dy + wrong[1]),
+            precision: Matrix2::identity() * 40.0,
+        }
+    };
+    (0..motions.len()).map(|frame| (0..patches).map(|i| sight(frame, i)).collect()).collect()
+}
+
+/// Two planes, one of them tilted.
+fn two_planes([u, v]: [f64; 2]) -> f64 {
+    if u + 0.3 * v > 0.2 { 3.0 + u } else { -1.0 }
+}
+
+#[test]
+fn motions_and_depths_explain_the_displacements() {
+    let unit = Coordinates::new(SIZE).unit;
+    let truth = two_motions();
+    let frames = sights(&truth, 600, two_planes);
+    let found = geometry::fit(&frames, 600, unit).unwrap();
+    // The depths and motions are known up to a change of the plane of depth 0, so displacements are compared. The error
+    // of a patch is that of its own displacements, about 0.06 px: it has one depth for four coordinates.
+    let mut errors = Vec::new();
+    for (frame, (sights, truth)) in frames.iter().zip(&truth).enumerate() {
+        let motion = found.motions[frame].unwrap();
+        for s in sights {
+            let a = motion.displacement(s.at, found.depths[s.patch].unwrap(), unit);
+            let b = truth.displacement(s.at, two_planes(s.at), unit);
+            errors.push(((a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1])).sqrt());
+        }
+    }
+    let near = errors.iter().filter(|&&e| e < 0.2).count() as f64 / errors.len() as f64;
+    // A patch of which one of the two displacements is wrong may follow it along its epipolar line.
+    assert!(near > 0.85, "{near}");
+}
+
+#[test]
+fn nothing_is_measured_without_depth_or_with_independent_motion() {
+    let unit = Coordinates::new(SIZE).unit;
+    let flat = sights(&two_motions(), 600, |_| 0.0);
+    assert!(geometry::fit(&flat, 600, unit).is_none(), "one homography suffices");
+    // A quarter of the patches move by themselves, in each frame in another way.
+    let mut leaves = flat;
+    for (frame, sights) in leaves.iter_mut().enumerate() {
+        for s in sights.iter_mut().filter(|s| s.patch.is_multiple_of(4)) {
+            let own = [0, 1].map(|axis| 10.0 * (uniform(7 + axis, s.patch as i64, frame as i64) - 0.5));
+            s.displacement += Vector2::from(own);
+        }
+    }
+    assert!(geometry::fit(&leaves, 600, unit).is_none(), "depth does not explain it");
+    let few = sights(&two_motions(), 20, two_planes);
+    assert!(geometry::fit(&few, 20, unit).is_none(), "too few patches");
+}
+
+/// A volume with pseudorandom costs.
+fn noisy_volume(width: usize, height: usize, labels: usize) -> CostVolume {
+    let costs = (0..width * height * labels).map(|i| (256.0 * uniform(5, i as i64, 0)) as u8).collect();
+    CostVolume { width, height, labels, costs, scale: 40.0 }
+}
+
+#[test]
+fn semi_global_matching_is_that_of_the_paper() {
+    let (width, height, labels) = (13, 9, 6);
+    let volume = noisy_volume(width, height, labels);
+    let grey = Plane::from_rows(width, height, |y, row: &mut [u8]| {
+        row.iter_mut().enumerate().for_each(|(x, v)| *v = (255.0 * uniform(6, x as i64, y as i64)) as u8);
+    });
+    let inside = |x: isize, y: isize| x >= 0 && y >= 0 && x < width as isize && y < height as isize;
+    let mut sums = vec![0u32; width * height * labels];
+    for (dx, dy) in [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1)] {
+        // Equation 13 of the paper, by recursion from the border.
+        fn path(
+            at: (isize, isize),
+            by: (isize, isize),
+            volume: &CostVolume,
+            grey: &Plane<u8>,
+            inside: &dyn Fn(isize, isize) -> bool,
+        ) -> Vec<u32> {
+            let own = volume.at(at.1 as usize * volume.width + at.0 as usize);
+            let before = (at.0 - by.0, at.1 - by.1);
+            if !inside(before.0, before.1) {
+                return own.iter().map(|&c| u32::from(c)).collect();
+            }
+            let last = path(before, by, volume, grey, inside);
+            let value = |(x, y): (isize, isize)| grey.at(x as usize, y as usize);
+            let [p1, p2] = semi_global::penalties(volume.scale, value(at), value(before)).map(u32::from);
+            let least = *last.iter().min().unwrap();
+            let of = |d: usize| {
+                let mut best = last[d].min(least + p2);
+                if d > 0 {
+                    best = best.min(last[d - 1] + p1);
+                }
+                if d + 1 < last.len() {
+                    best = best.min(last[d + 1] + p1);
+                }
+                u32::from(own[d]) + best - least
+            };
+            (0..own.len()).map(of).collect()
+        }
+        for y in 0..height {
+            for x in 0..width {
+                let found = path((x as isize, y as isize), (dx, dy), &volume, &grey, &inside);
+                for (d, v) in found.into_iter().enumerate() {
+                    sums[(y * width + x) * labels + d] += v;
+                }
+            }
+        }
+    }
+    let choices = semi_global::choose(&volume, &grey);
+    for (i, sums) in sums.chunks_exact(labels).enumerate() {
+        let best = (0..labels).min_by_key(|&d| sums[d]).unwrap();
+        let found = choices.at(i % width, i / width).label;
+        assert!((found - best as f32).abs() <= 0.5, "pixel {i}: {found} instead of {best}");
+    }
+}
+
+#[test]
+fn costs_follow_the_correlation_of_windows() {
+    let size = (40, 30);
+    let take = |dx: f64| Scene::new(3).photograph(size, &shift(dx, 0.0), Shot { noise: 0.0, ..Shot::at(0.0) });
+    let (reference, frame) = (usable(&take(0.0)), usable(&take(2.0)));
+    // At relative depth q, the frame is shifted by q pixels.
+    let towards = motion([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0]);
+    let camera = Camera::new(&Matrix3::identity(), &towards, &Coordinates::new(size));
+    let labels = Labels { first: 0.0, step: 1.0, count: 5 };
+    let volume = CostVolume::new(&reference, &[(frame.clone(), camera)], &labels);
+    for (x, y) in [(5, 5), (20, 12), (30, 25), (17, 3)] {
+        for label in 0..5 {
+            let window = |plane: &Plane<f32>, dx: usize| -> Vec<f64> {
+                let rows = (y - 2..=y + 2).flat_map(|row| (x - 2..=x + 2).map(move |column| (column, row)));
+                rows.map(|(column, row)| f64::from(plane.at(column + dx, row))).collect()
+            };
+            let (a, b) = (window(&reference, 0), window(&frame, label));
+            if a.iter().chain(&b).any(|v| v.is_nan()) {
+                continue;
+            }
+            let mean = |v: &[f64]| v.iter().sum::<f64>() / 25.0;
+            let covariance =
+                |v: &[f64], w: &[f64]| v.iter().zip(w).map(|(p, q)| (p - mean(v)) * (q - mean(w))).sum::<f64>() / 25.0;
+            let square =
+                covariance(&a, &b).max(0.0).powi(2) / ((covariance(&a, &a) + 2.0) * (covariance(&b, &b) + 2.0));
+            let gain = (-0.5 * (1.03 - square).ln()).max(0.0);
+            let most = -0.5 * 0.03f64.ln() + 0.06;
+            let expected = 255.0 - 255.0 / most * (0.06 + gain);
+            let found = f64::from(volume.at(y * size.0 + x)[label]);
+            // Both the gain and the offset are rounded to whole units; sums of 25 floats of up to 255^2 have an error of
+            // about 1e-6 of their size, which is 0.1 in a variance and moves the cost by less than a unit.
+            assert!((found - expected).abs() <= 2.0, "({x}, {y}), label {label}: {found} instead of {expected}");
+        }
+    }
+}
+
+#[test]
+fn planes_stay_planes_and_jumps_stay_sharp() {
+    let (width, height) = (60, 40);
+    let truth = |x: usize, y: usize| if x < 30 { 4.0 + 0.1 * x as f32 } else { 12.0 - 0.05 * y as f32 };
+    let is_hole = |x: usize, y: usize| (8..18).contains(&x) && (10..20).contains(&y);
+    let choices = Plane::from_rows(width, height, |y, row: &mut [Choice]| {
+        for (x, c) in row.iter_mut().enumerate() {
+            // A wrong label without certainty does not count.
+            let noise = 0.6 * (uniform(9, x as i64, y as i64) as f32 - 0.5);
+            *c = if is_hole(x, y) {
+                Choice { label: truth(x, y) + 1.2, certainty: 0.0 }
+            } else {
+                Choice { label: truth(x, y) + noise, certainty: 0.5 }
+            };
+        }
+    });
+    let grey = Plane::from_rows(width, height, |_, row: &mut [u8]| {
+        row.iter_mut().enumerate().for_each(|(x, v)| *v = if x < 30 { 50 } else { 120 });
+    });
+    let smooth = smoothing::smooth(&choices, &grey);
+    for y in 0..height {
+        for x in 0..width {
+            let error = (smooth.at(x, y) - truth(x, y)).abs();
+            // The iteration stops before the plane around a hole fills all of it.
+            assert!(
+                error < if is_hole(x, y) { 0.8 } else { 0.4 },
+                "({x}, {y}): {} instead of {}",
+                smooth.at(x, y),
+                truth(x, y)
+            );
+        }
+    }
+}
+
+/// Photographs of a far scene and of a near disc before it, by a camera that moved sideways. The far scene moves by
+/// `far`, and the disc by `near`, in pixels.
+fn photographs(exposures: [f64; 3], far: [[f64; 2]; 3], near: [[f64; 2]; 3]) -> Vec<Plane<u8>> {
+    let take = |i: usize| {
+        photograph(SIZE, &Transform::Identity, Shot::at(exposures[i]), |x, y| {
+            let (u, v) = (x - near[i][0], y - near[i][1]);
+            let (a, b) = (u - 150.0, v - 120.0);
+            if a * a + b * b < 70.0 * 70.0 {
+                Scene::new(8).radiance(u, v)
+            } else {
+                Scene::new(4).radiance(x - far[i][0], y - far[i][1])
+            }
+        })
+    };
+    (0..3).map(take).collect()
+}
+
+#[test]
+fn near_disc_and_far_scene_are_both_followed_on_any_number_of_threads() {
+    let far = [[-2.0, 1.0], [0.0, 0.0], [3.0, 2.0]];
+    let near = [[-7.0, 1.0], [0.0, 0.0], [3.0, 7.0]];
+    let pyramids: Vec<GreyPyramid> =
+        photographs([-1.5, 0.0, 1.5], far, near).into_iter().map(GreyPyramid::new).collect();
+    let placed = |i: usize| {
+        let [dx, dy] = far[i];
+        let estimate = Estimate {
+            transform: shift(dx, dy),
+            model: Model::Shift,
+            error_px: None,
+            confidence: 1.0,
+            displaced: None,
+            reason: None,
+        };
+        if i == 1 { Placement::Reference } else { Placement::Placed(estimate) }
+    };
+    let alignment = Alignment {
+        placements: (0..3).map(placed).collect(),
+        features: vec![FeatureCounts::default(); 3],
+        overlap: Rect { x0: 0, y0: 0, x1: SIZE.0, y1: SIZE.1 },
+    };
+    let on = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| Relief::of(&pyramids, 1, &alignment, threads).unwrap())
+    };
+    let relief = on(2);
+    assert!([1, 5].map(on).iter().all(|other| other.depths == relief.depths && other.cameras == relief.cameras));
+    for i in [0, 2] {
+        let camera = relief.cameras[i].unwrap();
+        let (mut right, mut all) = (0, 0);
+        for (x, y) in (10..SIZE.1 - 10).step_by(3).flat_map(|y| (10..SIZE.0 - 10).step_by(3).map(move |x| (x, y))) {
+            let (a, b) = (x as f64 - 150.0, y as f64 - 120.0);
+            let distance = (a * a + b * b).sqrt();
+            // Pixels next to the edge of the disc may be hidden in the frame.
+            if (distance - 70.0).abs() < 8.0 {
+                continue;
+            }
+            let [dx, dy] = if distance < 70.0 { near[i] } else { far[i] };
+            let (u, v) = camera.position(x as f64, y as f64, f64::from(relief.depth(x, y)));
+            let (ex, ey) = (u - x as f64 - dx, v - y as f64 - dy);
+            all += 1;
+            right += usize::from(ex * ex + ey * ey < 1.0);
+        }
+        assert!(right as f64 > 0.97 * all as f64, "frame {i}: {right} of {all}");
+    }
+    let flat: Vec<GreyPyramid> = photographs([-1.5, 0.0, 1.5], far, far).into_iter().map(GreyPyramid::new).collect();
+    assert!(Relief::of(&flat, 1, &alignment, 2).is_none(), "one shift fits everywhere");
+}
