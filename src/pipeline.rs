@@ -89,6 +89,8 @@ pub struct Options {
     pub save_response: Option<PathBuf>,
     /// Prefix of the output files of the aligned frames, in TIFF format.
     pub save_aligned: Option<PathBuf>,
+    /// Prefix of the output files of the displacements of all pixels, in TIFF format. Only [`align_only`] writes them.
+    pub displacements: Option<PathBuf>,
     /// JSON file of transforms: read if it exists, otherwise written. It is never replaced.
     pub transforms: Option<PathBuf>,
     /// Output file of the report; the extension selects JSON or HTML.
@@ -102,7 +104,7 @@ impl Options {
     /// Returns the stages that determine the memory of a run that aligns.
     pub(crate) fn aligning(&self) -> Stages {
         let features = matches!(self.align.mode, AlignMode::Auto | AlignMode::Sift | AlignMode::Surf);
-        Stages { features, ..Stages::default() }
+        Stages { features, displacing: self.displacements.is_some(), ..Stages::default() }
     }
 
     /// Returns the stages that determine the memory of a run that merges.

@@ -36,6 +36,7 @@ fn refuse_files(options: &Options) -> Result<()> {
         ("response_file", options.response_file.is_some()),
         ("save_response", options.save_response.is_some()),
         ("save_aligned", options.save_aligned.is_some()),
+        ("displacements", options.displacements.is_some()),
         ("ghost_mask", options.ghost_mask.is_some()),
         ("transforms", options.transforms.is_some()),
         ("report", options.report.is_some()),

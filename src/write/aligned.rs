@@ -16,25 +16,25 @@ use crate::plane::BAND_ROWS;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
-/// Returns the path of the aligned frame of `image`: `prefix`, the file name of `image` without its extension, and
+/// Returns the path of the file of `image`: `prefix`, the file name of `image` without its extension, and
 /// `.tif`.
-fn name(prefix: &Path, image: &Path) -> PathBuf {
+pub(super) fn name(prefix: &Path, image: &Path) -> PathBuf {
     let mut name = prefix.as_os_str().to_os_string();
     name.push(image.file_stem().unwrap_or_default());
     name.push(".tif");
     PathBuf::from(name)
 }
 
-/// Returns the paths of the aligned frames of `images`.
+/// Returns the paths of the files of `images` that `option` names.
 ///
 /// # Errors
 /// [`Error::Option`] if two frames would have the same path.
-pub fn names(prefix: &Path, images: &[PathBuf]) -> Result<Vec<PathBuf>> {
+pub fn names(option: &'static str, prefix: &Path, images: &[PathBuf]) -> Result<Vec<PathBuf>> {
     let names: Vec<PathBuf> = images.iter().map(|image| name(prefix, image)).collect();
     for (i, name) in names.iter().enumerate() {
         if names[..i].contains(name) {
             return Err(Error::Option {
-                option: "--save-aligned",
+                option,
                 reason: format!("two photographs would be saved as {}; rename one of them", name.display()),
             });
         }
@@ -110,8 +110,8 @@ mod tests {
     fn frames_keep_their_names() {
         let images = [PathBuf::from("a/IMG_1.jpg"), PathBuf::from("b/IMG_2.x.png")];
         let expected = [PathBuf::from("out/al_IMG_1.tif"), PathBuf::from("out/al_IMG_2.x.tif")];
-        assert_eq!(names(Path::new("out/al_"), &images).unwrap(), expected);
+        assert_eq!(names("-x", Path::new("out/al_"), &images).unwrap(), expected);
         let twins = [PathBuf::from("a/1.jpg"), PathBuf::from("b/1.png")];
-        assert!(names(Path::new("out/"), &twins).unwrap_err().to_string().contains("out/1.tif"));
+        assert!(names("-x", Path::new("out/"), &twins).unwrap_err().to_string().contains("out/1.tif"));
     }
 }

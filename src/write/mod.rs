@@ -12,6 +12,7 @@
 pub(crate) mod aligned;
 mod bands;
 mod deflate;
+pub(crate) mod displacements;
 mod exif;
 pub mod exr;
 mod files;

@@ -82,6 +82,7 @@ fn suggested_memory_limit_is_sufficient() {
         "merge FRAMES --picture a.tif --bit-depth 16 --resize 80%",
         "merge FRAMES --picture a.jpg --resize 1000 --report a.html",
         "align FRAMES --align sift --save-aligned on_",
+        "align FRAMES --displacements by_",
         "inspect FRAMES -d look",
     ] {
         let line = command.replace("FRAMES", frames);

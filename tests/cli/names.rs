@@ -53,6 +53,40 @@ fn aligned_frames_have_one_size_and_open_elsewhere() {
 }
 
 #[test]
+fn displacements_are_those_of_the_transforms_where_nothing_else_is_known() {
+    let folder = Folder::with_bracket();
+    let run = folder.line("align w2.jpg w3.jpg w4.jpg --displacements by_ --reference 2 --transforms t.json").done();
+    assert_eq!(run.stdout, "t.json\nby_w2.tif\nby_w4.tif\n");
+    let saved: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(folder.at("t.json")).expect("a file")).expect("JSON");
+    let frames = saved["frames"].as_array().expect("frames");
+    for name in ["w2", "w4"] {
+        let frame =
+            frames.iter().find(|f| f["file"].as_str().is_some_and(|file| file.contains(name))).expect("the frame");
+        let h: Vec<f64> =
+            frame["homography"].as_array().expect("nine numbers").iter().map(|v| v.as_f64().expect("one")).collect();
+        let file = std::fs::File::open(folder.at(format!("by_{name}.tif"))).expect("a file");
+        let mut decoder = tiff::decoder::Decoder::new(file).expect("a TIFF");
+        assert_eq!(decoder.dimensions().expect("a size"), (300, 200));
+        let decoded = decoder.read_image().expect("its pixels");
+        let tiff::decoder::DecodingResult::F32(values) = decoded else { panic!("floats") };
+        assert_eq!(values.len(), 2 * 300 * 200);
+        for (i, d) in values.chunks_exact(2).enumerate() {
+            let (x, y) = ((i % 300) as f64, (i / 300) as f64);
+            let w = h[6] * x + h[7] * y + h[8];
+            let (u, v) = ((h[0] * x + h[1] * y + h[2]) / w, (h[3] * x + h[4] * y + h[5]) / w);
+            if u < 0.0 || v < 0.0 || u > 299.0 || v > 199.0 {
+                assert!(d[0].is_nan() && d[1].is_nan(), "({x}, {y}) is outside of {name}");
+            } else {
+                // The file of transforms is rounded; a float has an error of 1e-5 at 100 pixels.
+                let error = (f64::from(d[0]) - (u - x)).abs().max((f64::from(d[1]) - (v - y)).abs());
+                assert!(error < 1e-3, "({x}, {y}): {d:?} in {name}");
+            }
+        }
+    }
+}
+
+#[test]
 fn without_a_crop_results_have_the_size_of_the_reference() {
     let folder = Folder::with_bracket();
     folder.line("merge w2.jpg w3.jpg w4.jpg --crop none -o a.png -o a.exr --save-aligned on_").done();

@@ -210,13 +210,21 @@ fn results_are_not_used_as_photographs() {
     let folder = Folder::with_bracket();
     let frames = "w2.jpg w3.jpg w4.jpg";
     folder.line(&format!("merge {frames} -o r.jpg -o r.png -o r.tif --ghost-mask mask.png")).done();
-    folder.line(&format!("align {frames} --save-aligned al_")).done();
+    folder.line(&format!("align {frames} --save-aligned al_ --displacements by_")).done();
     folder.line(&format!("response {frames} -o c.json --plot c.png")).done();
     folder.line("inspect w2.jpg w3.jpg -d look").done();
     let said = "is a result of hdralign, not a photograph; leave it out";
-    for name in
-        ["r.jpg", "r.png", "r.tif", "mask.png", "al_w3.tif", "c.png", "look/w2.threshold.png", "look/w2.xor.png"]
-    {
+    for name in [
+        "r.jpg",
+        "r.png",
+        "r.tif",
+        "mask.png",
+        "al_w3.tif",
+        "by_w2.tif",
+        "c.png",
+        "look/w2.threshold.png",
+        "look/w2.xor.png",
+    ] {
         refused(&folder, &format!("merge w1.jpg w2.jpg {name} -o a.exr"), 2, &[&format!("{name} {said}")]);
     }
     for command in ["align", "inspect -d x", "response -o x.json"] {

@@ -26,12 +26,25 @@ pub struct Args {
     #[arg(long, help_heading = OUTPUT, value_name = "PREFIX")]
     save_aligned: Option<PathBuf>,
 
+    /// Write the displacement of every pixel of the reference in every other photograph as TIFF with two 32-bit floats
+    /// per pixel; the file names are PREFIX followed by the name of the photograph
+    ///
+    /// The floats are dx and dy in pixels: a detail at (x, y) in the reference is at (x + dx, y + dy) in the photograph.
+    /// They are NaN where that is outside of the photograph. Near and far things are displaced differently if the
+    /// camera moved; the displacements follow them
+    #[arg(long, help_heading = OUTPUT, value_name = "PREFIX")]
+    displacements: Option<PathBuf>,
+
     #[command(flatten)]
     results: Results,
 }
 
 pub fn run(args: &Args) -> Result<ExitCode, Error> {
-    let options = Options { save_aligned: args.save_aligned.clone(), ..args.results.options(&args.common) };
+    let options = Options {
+        save_aligned: args.save_aligned.clone(),
+        displacements: args.displacements.clone(),
+        ..args.results.options(&args.common)
+    };
     leftovers::clear(&pipeline::targets(&args.common.aligned.images, &options)?);
     let mut bar = Bar::new(Plan::align(&args.common.aligned.images), args.results.work.quiet);
     let report = pipeline::align_only(&args.common.aligned.images, &options, &|p| bar.show(p));

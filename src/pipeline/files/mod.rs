@@ -12,7 +12,7 @@ use crate::bracket::ReferenceChoice;
 use crate::error::Result;
 use crate::report;
 use crate::response::file;
-use crate::write::{self, Target, aligned};
+use crate::write::{self, Target, aligned, displacements};
 use std::path::PathBuf;
 
 /// Whether the file of transforms exists, so that it is read and not written.
@@ -34,7 +34,10 @@ pub fn targets(images: &[PathBuf], options: &Options) -> Result<Vec<Target>> {
         files.extend(Target::of("--transforms", options.transforms.as_slice()));
     }
     if let Some(prefix) = &options.save_aligned {
-        files.extend(Target::of("--save-aligned", &aligned::names(prefix, images)?));
+        files.extend(Target::of("--save-aligned", &aligned::names("--save-aligned", prefix, images)?));
+    }
+    if let Some(prefix) = &options.displacements {
+        files.extend(Target::of("--displacements", &displacements::names(prefix, images)?));
     }
     Ok(files)
 }

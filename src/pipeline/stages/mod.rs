@@ -11,6 +11,7 @@ pub(crate) mod response;
 pub(crate) mod results;
 
 use super::{Options, Prepared, Progress, Stage, Watch, announce};
+use crate::align::motions;
 use crate::align::transforms_file::SavedAlignment;
 use crate::bracket::{self, Bracket, Capture, Frame};
 use crate::budget::Stages;
@@ -23,7 +24,7 @@ use crate::plane::Plane;
 use crate::report::{self, Report, Times, WarningReport};
 use crate::response::file::SavedResponse;
 use crate::tonemap::Rendering;
-use crate::write::{self, Metadata, Written, aligned};
+use crate::write::{self, Metadata, Written, aligned, displacements};
 use picture::Picture;
 use radiance::Radiance;
 use reference::Aligned;
@@ -192,10 +193,13 @@ impl<'a> Run<'a> {
         if let Some(path) = &self.options.transforms {
             files.push(write::text(path, &SavedAlignment::of(bracket, alignment).to_json())?);
         }
+        // The comments are about the unit and range of radiance, and do not apply to frames.
+        let metadata = |frame: &Frame| Metadata { comments: Vec::new(), ..metadata(frame, None, self.options) };
         if let Some(prefix) = &self.options.save_aligned {
-            // The comments are about the unit and range of radiance, and do not apply to frames.
-            let metadata = |frame: &Frame| Metadata { comments: Vec::new(), ..metadata(frame, None, self.options) };
             files.extend(aligned::write(bracket, alignment, *region, prefix, metadata)?);
+        }
+        if let Some(prefix) = &self.options.displacements {
+            files.extend(displacements::write(bracket, &motions(bracket, alignment)?, prefix, metadata)?);
         }
         self.times.write = Some(began.elapsed().as_secs_f64());
         Ok(files)

@@ -30,6 +30,7 @@ pub(crate) mod tag {
     pub const PREDICTOR: u16 = 317;
     pub const WHITE_POINT: u16 = 318;
     pub const CHROMATICITIES: u16 = 319;
+    pub const EXTRA_SAMPLES: u16 = 338;
     pub const SAMPLE_FORMAT: u16 = 339;
     pub const EXPOSURE_TIME: u16 = 33434;
     pub const F_NUMBER: u16 = 33437;

@@ -114,7 +114,7 @@ fn align_inspect_and_response_meet_them_too() {
         let names = lossless(&folder, &frames.iter().collect::<Vec<_>>());
         for line in [
             format!("align {names} -e=-1,1 --json"),
-            format!("align {names} -e=-1,1 --save-aligned out/a --json"),
+            format!("align {names} -e=-1,1 --save-aligned out/a --displacements out/b --json"),
             format!("inspect {names} -e=-1,1 -d seen"),
             format!("response {names} -e=-1,1 -o camera.json"),
             format!("merge {names} -e=-1,1 --align none -o b.exr --report b.html"),
