@@ -89,7 +89,7 @@ pub struct Options {
     pub save_response: Option<PathBuf>,
     /// Prefix of the output files of the aligned frames, in TIFF format.
     pub save_aligned: Option<PathBuf>,
-    /// Prefix of the output files of the displacements of all pixels, in TIFF format. Only [`align_only`] writes them.
+    /// Prefix of the output files of the displacements of all pixels, in TIFF format.
     pub displacements: Option<PathBuf>,
     /// JSON file of transforms: read if it exists, otherwise written. It is never replaced.
     pub transforms: Option<PathBuf>,

@@ -74,8 +74,8 @@ pub fn write(
     Ok(files)
 }
 
-/// Number of bands that are resampled in parallel before they are written.
-const BANDS_AT_ONCE: usize = 8;
+/// Number of bands that are computed in parallel before they are written.
+pub(super) const BANDS_AT_ONCE: usize = 8;
 
 fn push<T: Copy + Send + Sync>(
     mut writer: Box<dyn RowWriter<[T; 3]> + '_>,

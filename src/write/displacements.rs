@@ -1,14 +1,14 @@
 //! Writes the displacement of every pixel in every merged frame, as TIFF.
 //!
 //! In: the motions of the frames. Out: one file per frame, named `PREFIX` followed by the name of the frame, with two
-//! floats for each pixel of the reference: where the frame shows the pixel, minus the position of the pixel. NaN if that
-//! is outside of the frame. Cost: a few operations for each pixel of each frame.
+//! floats for each pixel of the reference: where the frame shows the pixel, minus the position of the pixel. NaN if
+//! that is outside of the frame. Cost: a few operations for each pixel of each frame.
 
-use super::aligned;
+use super::aligned::{self, BANDS_AT_ONCE};
 use super::metadata::Metadata;
 use super::row_writer::RowWriter;
 use super::staging::{Pending, Written};
-use super::tiff::displacement;
+use super::tiff;
 use crate::align::Motion;
 use crate::bracket::{Bracket, Frame};
 use crate::error::Result;
@@ -16,19 +16,13 @@ use crate::plane::BAND_ROWS;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
-/// The option that names the files.
-const OPTION: &str = "--displacements";
-
 /// Returns the paths of the displacements of `images`.
 ///
 /// # Errors
 /// [`Error::Option`](crate::error::Error::Option) if two frames would have the same path.
 pub fn names(prefix: &Path, images: &[PathBuf]) -> Result<Vec<PathBuf>> {
-    aligned::names(OPTION, prefix, images)
+    aligned::names("--displacements", prefix, images)
 }
-
-/// Number of bands that are computed in parallel before they are written.
-const BANDS_AT_ONCE: usize = 8;
 
 /// Writes the displacements of every frame of `bracket` that has a motion, with the `metadata` of the frame.
 ///
@@ -45,7 +39,7 @@ pub fn write(
     for (frame, motion) in bracket.frames().iter().zip(motions) {
         let Some(motion) = motion else { continue };
         let file = Pending::create(&aligned::name(prefix, frame.path()))?;
-        let mut writer = Box::new(displacement::Writer::new(file, (width, height), &metadata(frame))?);
+        let mut writer = Box::new(tiff::Writer::displacements(file, (width, height), &metadata(frame))?);
         let mut rows = vec![[0.0f32; 2]; width * height.min(BANDS_AT_ONCE * BAND_ROWS)];
         for first in (0..height).step_by(BANDS_AT_ONCE * BAND_ROWS) {
             let rows = &mut rows[..width * (height - first).min(BANDS_AT_ONCE * BAND_ROWS)];

@@ -1,18 +1,18 @@
 //! The camera of a frame relative to the reference: where the frame shows a pixel of the reference, given the pixel's
 //! relative depth.
 //!
-//! In: a [`Motion`], the parameters that are fitted to the displacements of patches. Out: a [`Camera`], which maps a
-//! position and a relative depth to a position in the frame. Cost: three dot products and a division. Source: plane
-//! plus parallax (Irani & Anandan, "Parallax Geometry of Pairs of Points for 3D Scene Analysis", ECCV 1996).
+//! In: a [`CameraMotion`], the parameters that are fitted to the displacements of patches. Out: a [`Camera`], which
+//! maps a position and a relative depth to a position in the frame. Cost: three dot products and a division. Source:
+//! plane plus parallax (Irani & Anandan, "Parallax Geometry of Pairs of Points for 3D Scene Analysis", ECCV 1996).
 //!
 //! If nothing in the scene moves, then x' ~ H x + q e for all pixels x of the reference (Hartley & Zisserman, Multiple
 //! View Geometry, 13.3): a homography H, the epipole e of the frame, and the relative depth q of the pixel, which is
 //! the same in all frames. Here, q has no unit, and another q' = a q + b x + c y + d would do as well with other H and
 //! e; only the displacements have a meaning.
 
-use nalgebra::{Matrix3, Matrix3x4, SVector, Vector4};
+use nalgebra::{Matrix3, Matrix3x4, Matrix4, RowVector4, SVector, Vector4};
 
-/// Number of parameters of a [`Motion`].
+/// Number of parameters of a [`CameraMotion`].
 pub(super) const PARAMETERS: usize = 11;
 /// Expected size of the parameters of a motion, in pixels of the level. It matters only for parameters that the sights
 /// leave open, for example if all sights of a frame are in one corner.
@@ -51,9 +51,9 @@ impl Coordinates {
 /// parameters) and an epipole (3). All parameters are displacements in pixels: at the distance of one unit from the
 /// centre, and, for the epipole, of a pixel with relative depth 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Motion(pub(super) SVector<f64, PARAMETERS>);
+pub(super) struct CameraMotion(pub(super) SVector<f64, PARAMETERS>);
 
-impl Motion {
+impl CameraMotion {
     /// Displacement at the position `at`, in [`Coordinates`], of a pixel with relative depth `q`. In pixels.
     pub(super) fn displacement(&self, [u, v]: [f64; 2], q: f64, unit: f64) -> [f64; 2] {
         let m = self.matrix(unit) * Vector4::new(u, v, 1.0, q);
@@ -63,20 +63,11 @@ impl Motion {
     /// The matrix that maps (u, v, 1, q) to homogeneous coordinates of the frame, all in [`Coordinates`].
     fn matrix(&self, unit: f64) -> Matrix3x4<f64> {
         let p = self.0 / unit;
-        Matrix3x4::new(
-            1.0 + p[0],
-            p[1],
-            p[2],
-            p[8], //
-            p[3],
-            1.0 + p[4],
-            p[5],
-            p[9], //
-            -p[6],
-            -p[7],
-            1.0,
-            p[10],
-        )
+        Matrix3x4::from_rows(&[
+            RowVector4::new(1.0 + p[0], p[1], p[2], p[8]),
+            RowVector4::new(p[3], 1.0 + p[4], p[5], p[9]),
+            RowVector4::new(-p[6], -p[7], 1.0, p[10]),
+        ])
     }
 
     /// Derivatives of the displacement by the parameters of the homography at (u, v), for small motions: of x and of y.
@@ -92,27 +83,23 @@ impl Motion {
 
 /// A camera: maps pixels of the reference and their relative depths to pixels of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Camera {
+pub(super) struct Camera {
     matrix: Matrix3x4<f64>,
 }
 
 impl Camera {
     /// The camera with `motion` relative to the homography `h`, which maps pixels of the reference to pixels of the
     /// frame.
-    pub(super) fn new(h: &Matrix3<f64>, motion: &Motion, coordinates: &Coordinates) -> Self {
+    pub(super) fn new(h: &Matrix3<f64>, motion: &CameraMotion, coordinates: &Coordinates) -> Self {
         let inner = coordinates.inverse() * motion.matrix(coordinates.unit);
-        let mut from_pixels = nalgebra::Matrix4::identity();
-        from_pixels.fixed_view_mut::<3, 3>(0, 0).copy_from(&coordinates.matrix());
-        Camera { matrix: h * inner * from_pixels }
+        Camera { matrix: h * inner * keeping_depth(&coordinates.matrix()) }
     }
 
     /// Returns the camera in pixels of the full size, if `self` is in pixels of a level; `to_full` maps pixels of the
     /// level to pixels of the full size.
     pub(super) fn at_full_size(&self, to_full: &Matrix3<f64>) -> Self {
-        let mut from_full = nalgebra::Matrix4::identity();
         let back = to_full.try_inverse().unwrap_or_else(Matrix3::identity);
-        from_full.fixed_view_mut::<3, 3>(0, 0).copy_from(&back);
-        Camera { matrix: to_full * self.matrix * from_full }
+        Camera { matrix: to_full * self.matrix * keeping_depth(&back) }
     }
 
     /// The homogeneous position in the frame of the pixel (x, y) with relative depth 0, and its change per unit of
@@ -123,9 +110,16 @@ impl Camera {
     }
 
     /// Position in the frame of the pixel (x, y) of the reference with relative depth `q`.
-    pub(crate) fn position(&self, x: f64, y: f64, q: f64) -> (f64, f64) {
+    pub(super) fn position(&self, x: f64, y: f64, q: f64) -> (f64, f64) {
         let (at, by) = self.line(x, y);
         let w = at[2] + q * by[2];
         ((at[0] + q * by[0]) / w, (at[1] + q * by[1]) / w)
     }
+}
+
+/// Returns the matrix that maps the position by `h` and keeps the relative depth.
+fn keeping_depth(h: &Matrix3<f64>) -> Matrix4<f64> {
+    let mut whole = Matrix4::identity();
+    whole.fixed_view_mut::<3, 3>(0, 0).copy_from(h);
+    whole
 }

@@ -5,8 +5,8 @@
 //! (Collins, "A Space-Sweep Approach to True Multi-Image Matching", CVPR 1996); the profile likelihood of two windows
 //! that are linear functions of each other depends only on their correlation.
 //!
-//! A label is a relative depth. Where frames are clipped or too dark, they say nothing about the depth; the other frames
-//! do.
+//! A label is a relative depth. Where frames are clipped or too dark, they say nothing about the depth; the other
+//! frames do.
 
 use crate::align::depth::camera::Camera;
 use crate::plane::Plane;

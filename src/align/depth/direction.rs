@@ -5,7 +5,7 @@
 //! depth have nearly the same direction, and the displacements across it are those of a homography. All directions are
 //! tried; least absolute errors by iteratively reweighted least squares.
 
-use crate::align::depth::camera::{EXPECTED_PX, Motion, PARAMETERS};
+use crate::align::depth::camera::{CameraMotion, EXPECTED_PX, PARAMETERS};
 use crate::align::depth::sights::Sight;
 use nalgebra::{SMatrix, SVector, Vector2};
 use std::f64::consts::PI;
@@ -34,10 +34,10 @@ pub(super) struct Start {
 
 impl Start {
     /// The motion without depth.
-    pub(super) fn without_depth(&self) -> Motion {
+    pub(super) fn without_depth(&self) -> CameraMotion {
         let mut all = SVector::<f64, PARAMETERS>::zeros();
         all.fixed_rows_mut::<8>(0).copy_from(&self.plain);
-        Motion(all)
+        CameraMotion(all)
     }
 
     /// Displacement of a patch along the direction, in pixels: its relative depth.
@@ -49,7 +49,7 @@ impl Start {
 }
 
 fn basis(sight: &Sight) -> SMatrix<f64, 2, 8> {
-    SMatrix::from_fn(|row, column| Motion::by_homography(sight.at)[row][column])
+    SMatrix::from_fn(|row, column| CameraMotion::by_homography(sight.at)[row][column])
 }
 
 /// The absolute error of a misfit (in variances), smooth at 0.

@@ -1,12 +1,11 @@
 //! The motions of all frames, and the relative depths of the patches, from the displacements of the patches.
 //!
-//! In: the [`Sight`]s of each frame. Out: the [`Motion`] of each frame, and how well they explain the sights
-//! ([`Geometry`]). Cost: some hundred multiply-adds for each sight and round. Source: alternating robust least squares:
-//! given the depths, the motions of the frames are independent; given the motions, the depths of the patches are. The
-//! weights are those of Geman & McClure; their scale is large at first (graduated non-convexity, Blake & Zisserman
-//! 1987).
+//! In: the [`Sight`]s of each frame. Out: a [`Geometry`], if depth explains the sights. Cost: some hundred
+//! multiply-adds for each sight and round. Source: alternating robust least squares: given the depths, the motions of
+//! the frames are independent; given the motions, the depths of the patches are. The weights are those of Geman &
+//! McClure; their scale is large at first (graduated non-convexity, Blake & Zisserman 1987).
 
-use crate::align::depth::camera::{EXPECTED_PX, Motion, PARAMETERS};
+use crate::align::depth::camera::{CameraMotion, EXPECTED_PX, PARAMETERS};
 use crate::align::depth::direction::{self, Start};
 use crate::align::depth::sights::Sight;
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
@@ -32,7 +31,7 @@ const MOST_UNEXPLAINED: f64 = 0.33;
 #[derive(Debug, Clone)]
 pub(super) struct Geometry {
     /// The motion of each frame; none for frames with too few sights.
-    pub(super) motions: Vec<Option<Motion>>,
+    pub(super) motions: Vec<Option<CameraMotion>>,
     /// The relative depth of each patch; none for patches without a sight.
     pub(super) depths: Vec<Option<f64>>,
 }
@@ -50,7 +49,7 @@ pub(super) fn fit(frames: &[Vec<Sight>], patches: usize, unit: f64) -> Option<Ge
     for sight in &frames[first] {
         depths[sight.patch] = Some(start.depth(sight));
     }
-    let mut motions: Vec<Option<Motion>> = vec![None; frames.len()];
+    let mut motions: Vec<Option<CameraMotion>> = vec![None; frames.len()];
     for round in 0..ROUNDS {
         let scale = (FIRST_SCALE.0 * power(FIRST_SCALE.1, round)).max(1.0);
         let weight = |misfit: f64| {
@@ -93,7 +92,7 @@ fn power(base: f64, n: usize) -> f64 {
 }
 
 /// One Gauss-Newton step of the motion of a frame whose depths are known.
-fn step(motion: &Motion, known: &[(&Sight, f64)], unit: f64, weight: impl Fn(f64) -> f64) -> Motion {
+fn step(motion: &CameraMotion, known: &[(&Sight, f64)], unit: f64, weight: impl Fn(f64) -> f64) -> CameraMotion {
     let mut normal = SMatrix::<f64, PARAMETERS, PARAMETERS>::zeros();
     let mut right = SVector::<f64, PARAMETERS>::zeros();
     for &(sight, q) in known {
@@ -109,12 +108,12 @@ fn step(motion: &Motion, known: &[(&Sight, f64)], unit: f64, weight: impl Fn(f64
         normal[(i, i)] += hold;
     }
     right -= motion.0 * hold;
-    Motion(motion.0 + normal.cholesky().map_or_else(SVector::zeros, |c| c.solve(&right)))
+    CameraMotion(motion.0 + normal.cholesky().map_or_else(SVector::zeros, |c| c.solve(&right)))
 }
 
 /// Derivatives of the displacement by the parameters of a motion, for small motions.
 fn jacobian([u, v]: [f64; 2], q: f64) -> SMatrix<f64, 2, PARAMETERS> {
-    let [x, y] = Motion::by_homography([u, v]);
+    let [x, y] = CameraMotion::by_homography([u, v]);
     let mut rows = SMatrix::<f64, 2, PARAMETERS>::zeros();
     for i in 0..8 {
         rows[(0, i)] = x[i];
@@ -127,7 +126,7 @@ fn jacobian([u, v]: [f64; 2], q: f64) -> SMatrix<f64, 2, PARAMETERS> {
 /// Computes the depth of every patch that a frame with a motion shows.
 fn refit_depths(
     frames: &[Vec<Sight>],
-    motions: &[Option<Motion>],
+    motions: &[Option<CameraMotion>],
     depths: &mut [Option<f64>],
     unit: f64,
     weight: impl Fn(f64) -> f64,
@@ -153,7 +152,7 @@ fn refit_depths(
 }
 
 /// Scales the depths so that their root mean square deviation is 1; the displacements remain the same.
-fn normalise(motions: &mut [Option<Motion>], depths: &mut [Option<f64>]) {
+fn normalise(motions: &mut [Option<CameraMotion>], depths: &mut [Option<f64>]) {
     let count = depths.iter().flatten().count().max(1) as f64;
     let mean = depths.iter().flatten().sum::<f64>() / count;
     let square = depths.iter().flatten().map(|q| (q - mean) * (q - mean)).sum::<f64>() / count;

@@ -17,8 +17,8 @@ const CERTAIN: f32 = 0.3;
 const NEAR: f64 = 1.0;
 /// Approximate number of pixels that are looked at.
 const SAMPLES: usize = 4000;
-/// Number of planes that are tried. With a quarter of the pixels on the ground, the probability that none of the planes
-/// goes through three of them is 0.04.
+/// Number of planes that are tried. If half of the pixels are on the ground, the probability that none of the planes
+/// goes through three of them is below 1e-11.
 const TRIALS: u64 = 200;
 /// Rounds of least squares.
 const ROUNDS: usize = 3;

@@ -4,9 +4,9 @@
 //! [`Camera`] for each frame, which maps a pixel and its depth to a position in the frame. Cost: about two seconds of
 //! two cores for five frames of 1.5 megapixels.
 //!
-//! One homography fits all frames of a scene only if the scene is flat or far, or the camera only turned. Otherwise near
-//! and far things are displaced against each other. If nothing in the scene moved, these displacements have one cause
-//! in all frames, the depth. It is measured from all frames together: where one frame is clipped, others are not.
+//! One homography fits all frames of a scene only if the scene is flat or far, or the camera only turned. Otherwise
+//! near and far things are displaced against each other. If nothing in the scene moved, these displacements have one
+//! cause in all frames, the depth. It is measured from all frames together: where one frame is clipped, others are not.
 //!
 //! 1. `sights`: the displacements of patches in each frame. `direction`, `geometry`: the cameras that explain them.
 //! 2. `cost_volume`: how well each depth explains the frames. `semi_global`: the best depths. `ground`: the depth where
@@ -26,7 +26,7 @@ mod smoothing;
 pub use motion::{Motion, motions};
 
 use crate::align::Alignment;
-use crate::align::depth::camera::{Camera, Coordinates};
+use crate::align::depth::camera::{Camera, CameraMotion, Coordinates};
 use crate::align::depth::cost_volume::{CostVolume, Labels, usable};
 use crate::align::depth::geometry::Geometry;
 use crate::align::depth::ground::Ground;
@@ -111,8 +111,8 @@ impl Relief {
     }
 }
 
-/// Returns the label of each pixel of the reference, with a fraction. `greys` are the frames, of which those that have a
-/// camera are compared with the reference.
+/// Returns the label of each pixel of the reference, with a fraction. `greys` are the frames; those that have a camera
+/// are compared with the reference.
 fn labelled(reference: &Plane<u8>, greys: &[&Plane<u8>], cameras: &[Option<Camera>], labels: &Labels) -> Plane<f32> {
     let seen: Vec<(Plane<f32>, Camera)> =
         greys.iter().zip(cameras).filter_map(|(grey, camera)| Some((usable(grey), (*camera)?))).collect();
@@ -134,7 +134,7 @@ fn labels(geometry: &Geometry) -> Option<Labels> {
     let outlying = (OUTLYING * last as f64) as usize;
     let (nearest, farthest) = (depths[outlying], depths[last - outlying]);
     // Displacement of a pixel of relative depth 1, in the frame that moves most.
-    let px = |m: &camera::Motion| (m.0[8] * m.0[8] + m.0[9] * m.0[9]).sqrt();
+    let px = |m: &CameraMotion| (m.0[8] * m.0[8] + m.0[9] * m.0[9]).sqrt();
     let most = geometry.motions.iter().flatten().map(px).fold(0.0, f64::max);
     let margin = 0.1 * (farthest - nearest) + 1.0 / most;
     let (first, range) = (nearest - margin, farthest - nearest + 2.0 * margin);

@@ -1,9 +1,9 @@
 //! Smoothing of labels by total generalised variation: planes in depth stay planes, and jumps stay sharp.
 //!
-//! In: the [`Choice`] of each pixel, and the reference. Out: a smooth label for each pixel. Cost: about sixty operations
-//! for each pixel and iteration. Source: Bredies, Kunisch & Pock, "Total Generalized Variation", SIAM J. Imaging Sciences
-//! 3(3), 2010; with weights at the edges of the picture as in Ranftl et al., "Pushing the Limits of Stereo Using
-//! Variational Stereo Estimation", IV 2012; primal-dual iteration of Chambolle & Pock 2011.
+//! In: the [`Choice`] of each pixel, and the reference. Out: a smooth label for each pixel. Cost: about sixty
+//! operations for each pixel and iteration. Source: Bredies, Kunisch & Pock, "Total Generalized Variation", SIAM J.
+//! Imaging Sciences 3(3), 2010; with weights at the edges of the picture as in Ranftl et al., "Pushing the Limits of
+//! Stereo Using Variational Stereo Estimation", IV 2012; primal-dual iteration of Chambolle & Pock 2011.
 //!
 //! min over q and v of sum a1 w |grad q - v| + a0 |E v| + c |q - q0|: v is the slope of the surface, E v the
 //! symmetrised derivative of v, w is small at edges of the picture, c is the certainty of the label q0.

@@ -2,7 +2,6 @@
 
 use super::*;
 use crate::align::Placement;
-use crate::align::depth::camera::Motion as CameraMotion;
 use crate::align::depth::semi_global::Choice;
 use crate::align::result::{Estimate, FeatureCounts, Rect};
 use crate::align::scene::{Scene, Shot, photograph, shift, uniform};
@@ -196,7 +195,7 @@ fn costs_follow_the_correlation_of_windows() {
             let most = -0.5 * 0.03f64.ln() + 0.06;
             let expected = 255.0 - 255.0 / most * (0.06 + gain);
             let found = f64::from(volume.at(y * size.0 + x)[label]);
-            // Both the gain and the offset are rounded to whole units; sums of 25 floats of up to 255^2 have an error of
+            // Both the gain and the offset are rounded to whole units. Sums of 25 floats of up to 255^2 have an error of
             // about 1e-6 of their size, which is 0.1 in a variance and moves the cost by less than a unit.
             assert!((found - expected).abs() <= 2.0, "({x}, {y}), label {label}: {found} instead of {expected}");
         }

@@ -30,8 +30,8 @@ pub struct Args {
     /// per pixel; the file names are PREFIX followed by the name of the photograph
     ///
     /// The floats are dx and dy in pixels: a detail at (x, y) in the reference is at (x + dx, y + dy) in the photograph.
-    /// They are NaN where that is outside of the photograph. Near and far things are displaced differently if the
-    /// camera moved; the displacements follow them
+    /// They are NaN where that is outside of the photograph. The displacements follow near and far things, unless
+    /// things in the scene moved by themselves
     #[arg(long, help_heading = OUTPUT, value_name = "PREFIX")]
     displacements: Option<PathBuf>,
 

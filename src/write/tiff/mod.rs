@@ -12,7 +12,7 @@
 //! this module writes the structure of the file itself; the tests read it with the decoder of that crate.
 
 mod directory;
-pub(crate) mod displacement;
+mod displacement;
 pub(crate) mod logluv;
 mod sample;
 mod strips;

@@ -15,11 +15,11 @@ use crate::write::row_writer::RowWriter;
 use crate::write::staging::{Pending, Written};
 use std::io;
 
-/// The TIFF writer for pixels `[T; 3]`.
+/// The TIFF writer for pixels of `N` samples.
 #[derive(Debug)]
-pub struct Writer<T> {
-    strips: Strips,
-    bands: Bands<[T; 3], Vec<u8>>,
+pub struct Writer<T, const N: usize = 3> {
+    pub(super) strips: Strips,
+    pub(super) bands: Bands<[T; N], Vec<u8>>,
 }
 
 impl<T: Sample> Writer<T> {
@@ -78,8 +78,8 @@ impl<T: Sample> Writer<T> {
     }
 }
 
-impl<T: Sample> RowWriter<[T; 3]> for Writer<T> {
-    fn push(&mut self, rows: &[[T; 3]]) -> Result<()> {
+impl<T: Sample, const N: usize> RowWriter<[T; N]> for Writer<T, N> {
+    fn push(&mut self, rows: &[[T; N]]) -> Result<()> {
         let Writer { strips, bands } = self;
         let width = bands.width;
         bands.push(
@@ -99,7 +99,7 @@ impl<T: Sample> RowWriter<[T; 3]> for Writer<T> {
 }
 
 /// Appends a compressed strip.
-pub(super) fn pack<T: Sample, const N: usize>(
+fn pack<T: Sample, const N: usize>(
     pixels: &[[T; N]],
     width: usize,
     raw: &mut Vec<u8>,
