@@ -11,7 +11,7 @@ use hdralign::align::grey::Percentile;
 use hdralign::align::photometric::{CommonExposure, ToneTables};
 use hdralign::align::refinement::{FramePair, refine};
 use hdralign::align::resampling::resample_rows;
-use hdralign::align::{AlignOptions, Alignment, GreyPyramid, Model, align, bitmaps, grey_pyramid};
+use hdralign::align::{AlignOptions, Alignment, GreyPyramid, Model, Motion, align, bitmaps, grey_pyramid};
 use hdralign::bracket::{Bracket, Codes, Frame, LoadOptions, ReferenceChoice, Samples, load};
 use hdralign::merge::radiance::calibration::Unit;
 use hdralign::merge::radiance::flare;
@@ -140,10 +140,11 @@ fn alignment(c: &mut Criterion) {
     group.bench_function("agreement", |b| b.iter(|| check_tiles(&both, black_box(&h))));
     let mut out = vec![[0.0f32; 3]; all as usize];
     let window = bracket.frames()[3].whole().expect("in memory");
+    let motion = Motion::new(&start, (bracket.width(), bracket.height()));
     group.bench_function("resample", |b| {
         b.iter(|| {
             let (columns, rows) = (0..bracket.width(), 0..bracket.height());
-            resample_rows(&window, black_box(&start), columns, rows, &mut out);
+            resample_rows(&window, black_box(&motion), columns, rows, &mut out);
         });
     });
     group.throughput(Throughput::Elements(5 * all));

@@ -62,11 +62,20 @@ const SHEET: u64 = 24 << 20;
 /// Largest number of drawings that are computed at a time, one per thread. It is the number of drawings of one frame.
 const SHEETS: u64 = 6;
 
-/// Bytes that the measurement of depth takes per pixel of its level: the costs of all labels and their sums, and the
-/// variables of the smoothing. In addition, each frame takes [`SHOWN`] bytes.
-const RELIEF: u64 = 3 * Demand::MOST_LABELS + 64;
-/// Bytes of the grey values of a frame per pixel of the level on which depth is measured: a float and a byte.
-const SHOWN: u64 = 5;
+/// Bytes that the measurement of depth takes per pixel of a strip: the costs of all labels, and their sums.
+const MATCHED: u64 = 3 * Demand::MOST_LABELS;
+/// Bytes of the chosen depths per pixel of the level on which depth is measured.
+const CHOSEN: u64 = 8;
+/// Bytes of the smoothing per pixel of that level: 15 floats, and tables of the patches. Measured.
+const SMOOTHED: u64 = 72;
+/// Bytes per pixel of the level on which depth is measured, for each frame: the grey values of the frame and of the
+/// reference that are compared.
+const SHOWN: u64 = 8;
+/// Bytes per pixel of the finest level of the refinement that are kept for the merge: the depth. One byte more is kept
+/// for each frame: whether the pixel is hidden.
+const KEPT_RELIEF: u64 = 4;
+/// Bytes per pixel of that level of the tables of one frame from which hidden pixels are found.
+const HIDING: u64 = 9;
 
 /// The stages of a run that determine its memory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -79,8 +88,8 @@ pub(crate) struct Stages {
     pub deghosting: bool,
     /// Whether frames are fused.
     pub fusing: bool,
-    /// Whether the displacements of all pixels are measured.
-    pub displacing: bool,
+    /// Whether the depth of the scene is measured if it has depth.
+    pub following: bool,
     /// Whether `inspect` draws the data of the alignment.
     pub inspecting: bool,
 }
@@ -110,6 +119,8 @@ impl Demand {
     pub const MOST_CELLS: u64 = 1 << 18;
     /// Largest number of depths that are compared for each pixel.
     pub const MOST_LABELS: u64 = 64;
+    /// Largest number of pixels whose depths are compared at a time, unless a few rows are more.
+    pub const STRIP_PIXELS: u64 = 96 << 10;
     /// Largest number of cells of the overview of tone mapping (a grid of mean luminances).
     const OVERVIEW_CELLS: u64 = 1 << 20;
 
@@ -131,8 +142,18 @@ impl Demand {
 
     /// Number of pixels of the pyramid level that is used for agreement, features and depth.
     fn measured_pixels(&self) -> u64 {
+        self.pixels_within(Demand::MEASURED_PIXELS)
+    }
+
+    /// Number of pixels of the finest level of the refinement.
+    fn refined_pixels(&self) -> u64 {
+        self.pixels_within(Demand::WHOLE_PYRAMID)
+    }
+
+    /// Number of pixels of the largest pyramid level with at most this number of pixels.
+    fn pixels_within(&self, most: u64) -> u64 {
         let mut pixels = self.pixels();
-        while pixels > Demand::MEASURED_PIXELS {
+        while pixels > most {
             pixels /= 4;
         }
         pixels
@@ -145,8 +166,17 @@ impl Demand {
 
     /// Bytes of the measurement of depth.
     fn relief(&self) -> u64 {
-        let bytes = RELIEF + SHOWN * self.frames as u64;
-        if self.stages.displacing { bytes * self.measured_pixels() } else { 0 }
+        let (pixels, frames) = (self.measured_pixels(), self.frames as u64);
+        let matched = MATCHED * Demand::STRIP_PIXELS.min(pixels) + (CHOSEN + SHOWN * frames) * pixels;
+        let smoothed = (CHOSEN + SMOOTHED + SHOWN * frames) * pixels;
+        let shown = self.kept_relief() + HIDING * self.refined_pixels();
+        if self.stages.following { matched.max(smoothed).max(shown) } else { 0 }
+    }
+
+    /// Bytes of the measured depth.
+    fn kept_relief(&self) -> u64 {
+        let bytes = KEPT_RELIEF + self.frames as u64;
+        if self.stages.following { bytes * self.refined_pixels() } else { 0 }
     }
 
     /// Bytes of a grey pyramid. The pyramid of a frame with more than `WHOLE_PYRAMID` pixels does not include the full
@@ -210,7 +240,8 @@ impl Demand {
     fn in_memory(&self, threads: usize) -> u64 {
         let (detecting, threads) = (threads.min(self.frames) as u64, threads as u64);
         let merging = self.merging(threads, RADIANCE, 0);
-        let held = self.aligning(threads, 0, detecting).max(merging).max(self.deghosting(0)) + threads * self.thread();
+        let after = self.kept_relief() + merging.max(self.deghosting(0));
+        let held = self.aligning(threads, 0, detecting).max(after) + threads * self.thread();
         self.frames as u64 * self.frame + held.max(self.decoding.saturating_sub(self.frame))
     }
 
@@ -218,7 +249,8 @@ impl Demand {
     fn on_disk(&self, threads: usize) -> u64 {
         let (whole, threads) = (self.frame, threads as u64);
         let merging = self.merging(threads, 0, whole);
-        let held = self.aligning(threads, whole, 1).max(merging).max(self.deghosting(whole)) + threads * self.thread();
+        let after = self.kept_relief() + merging.max(self.deghosting(whole));
+        let held = self.aligning(threads, whole, 1).max(after) + threads * self.thread();
         held.max(self.decoding)
     }
 
@@ -291,10 +323,11 @@ impl Budget {
     }
 
     /// Returns the size, in bytes, of the frames and radiance that are merged at a time (a slab) if the frames are on
-    /// disk. It is half of the memory that remains beside the buffers of the threads, because the allocator may keep
-    /// memory of the previous slab.
+    /// disk. It is half of the memory that remains beside the buffers of the threads and the measured depth, because the
+    /// allocator may keep memory of the previous slab.
     pub fn slab(&self, threads: usize) -> u64 {
-        self.available.saturating_sub(self.demand.thread() * threads as u64) / 2
+        let beside = self.demand.thread() * threads as u64 + self.demand.kept_relief();
+        self.available.saturating_sub(beside) / 2
     }
 }
 

@@ -6,7 +6,8 @@
 //!
 //! The sub-modules. Each uses only modules that come before it in this list, or in the same item:
 //!
-//! 1. `transform`: transforms and their models. `result`: the types that the alignment returns.
+//! 1. `transform`: transforms and their models. [`motion`]: where a frame shows each pixel, by a transform or by depth.
+//!    `result`: the types that the alignment returns.
 //! 2. [`grey`]: grey pyramids. [`resampling`]: interpolation kernels, and resampling of rows. [`photometric`]:
 //!    conversion of two frames to a common exposure.
 //! 3. [`bitmaps`]: median threshold bitmaps (Ward 2003). [`features`]: SIFT, SURF, matching, RANSAC, LMedS. These two
@@ -14,10 +15,10 @@
 //! 4. [`refinement`]: Lucas & Kanade's iterative alignment on the pixels. [`agreement`]: the check of a transform, tile
 //!    by tile.
 //! 5. [`preset`] and [`transforms_file`]: transforms that are not estimated, and their file.
-//! 6. `local`: finds the parts of the picture that a transform does not fit. `depth`: the motion of each pixel, if the
-//!    scene has depth.
+//! 6. `local`: finds the parts of the picture that a transform does not fit.
 //! 7. `ladder`: the order of the methods, and the choice among the transforms that they find. `diagnostics`: the data
 //!    that the command `inspect` shows.
+//! 8. `depth`: the depth of each pixel, if the scene has depth.
 //!
 //! The mode `auto` tries methods from the cheapest to the most expensive, and stops as soon as the tiles of the picture
 //! agree with the transform. The methods are: comparison of bitmaps with the reference; comparison of bitmaps with a
@@ -38,6 +39,7 @@ pub mod features;
 pub mod grey;
 mod ladder;
 mod local;
+pub mod motion;
 #[doc(hidden)]
 pub mod photometric;
 pub mod preset;
@@ -54,15 +56,16 @@ pub mod transforms_file;
 use crate::bracket::Bracket;
 use crate::error::{Error, Result, Warning};
 use bitmaps::MtbOptions;
-pub use depth::{Motion, motions};
 pub use features::RobustMethod;
 use features::{Detector, RansacOptions, SiftOptions, SurfOptions};
 #[doc(hidden)]
 pub use grey::{GreyPyramid, grey_pyramid, searched_pyramid};
 use ladder::search;
+pub use motion::{Motion, Relief};
 use preset::Preset;
 pub use result::{Alignment, Displaced, Estimate, FeatureCounts, KeypointCounts, Placement, Rect, RejectedBy, Status};
 use result::{unmoved_but, warnings};
+use std::sync::Arc;
 pub use transform::{Model, Transform};
 
 /// Alignment method.
@@ -86,11 +89,27 @@ pub enum AlignMode {
     None,
 }
 
+/// Whether [`AlignMode::Auto`] follows what one homography for each frame cannot.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
+#[derive(strum::Display, strum::EnumIter, strum::EnumMessage, strum::EnumString, strum::IntoStaticStr)]
+#[serde(rename_all = "kebab-case")]
+#[strum(serialize_all = "kebab-case")]
+pub enum Local {
+    /// If only the camera moved, and near things moved more than far things, the depth of the scene is measured, and
+    /// each pixel is aligned at its depth.
+    #[default]
+    Auto,
+    /// One homography aligns all pixels of a frame.
+    Off,
+}
+
 /// How frames are aligned.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AlignOptions {
     /// The alignment method.
     pub mode: AlignMode,
+    /// Whether the mode [`AlignMode::Auto`] follows what one homography for each frame cannot.
+    pub local: Local,
     /// Options of the bitmaps and their search.
     pub mtb: MtbOptions,
     /// Options of SIFT, the feature detector of all methods but [`AlignMode::Surf`].
@@ -112,6 +131,7 @@ impl Default for AlignOptions {
     fn default() -> Self {
         AlignOptions {
             mode: AlignMode::Auto,
+            local: Local::Auto,
             mtb: MtbOptions::default(),
             sift: SiftOptions::default(),
             surf: SurfOptions::default(),
@@ -178,16 +198,39 @@ impl AlignOptions {
 pub fn align(bracket: &Bracket, options: &AlignOptions) -> Result<(Alignment, Vec<Warning>)> {
     options.validate()?;
     let given = preset::given(bracket, &options.given)?;
-    let (placements, features) = match options.mode {
-        AlignMode::None => unmoved_but(bracket, &given),
-        AlignMode::Auto => search(bracket, options, &given, |s| s.auto())?,
-        AlignMode::Mtb => search(bracket, options, &given, |s| s.by_bitmaps_alone())?,
-        AlignMode::Sift | AlignMode::Surf => search(bracket, options, &given, |s| s.by_features_alone())?,
+    let (placements, features, relief) = match options.mode {
+        AlignMode::None => {
+            let (placements, features) = unmoved_but(bracket, &given);
+            (placements, features, None)
+        }
+        AlignMode::Auto => {
+            let mut searched = search(bracket, options, &given, |s| s.auto())?;
+            let relief = match options.local {
+                Local::Auto => depth::follow(bracket, &mut searched),
+                Local::Off => None,
+            };
+            (searched.placements, searched.features, relief.map(Arc::new))
+        }
+        mode => {
+            let searched = search(
+                bracket,
+                options,
+                &given,
+                match mode {
+                    AlignMode::Mtb => |s| s.by_bitmaps_alone(),
+                    _ => |s| s.by_features_alone(),
+                },
+            )?;
+            (searched.placements, searched.features, None)
+        }
     };
     let mut warnings = warnings::of_frames(bracket, &placements);
-    let (overlap, small) = warnings::common_overlap(bracket, &placements)?;
+    let overlap = Rect { x0: 0, y0: 0, x1: bracket.width(), y1: bracket.height() };
+    let alignment = Alignment { placements, features, overlap, relief };
+    let motions: Vec<(usize, Motion)> = alignment.placed(bracket).map(|(i, _, motion)| (i, motion)).collect();
+    let (overlap, small) = warnings::common_overlap(bracket, &motions)?;
     warnings.extend(small);
-    Ok((Alignment { placements, features, overlap }, warnings))
+    Ok((Alignment { overlap, ..alignment }, warnings))
 }
 
 #[cfg(test)]

@@ -154,9 +154,8 @@ fn a_black_frame_among_others_that_moved_is_rejected() {
         alignment.placements[0]
     );
     // The rejected frame is not among the placed frames.
-    let placed: Vec<_> =
-        alignment.placed(&bracket).map(|(i, frame, transform)| (i, frame.path(), Some(transform))).collect();
-    let expected = [1, 2].map(|i| (i, bracket.frames()[i].path(), alignment.placements[i].transform()));
+    let placed: Vec<_> = alignment.placed(&bracket).map(|(i, frame, motion)| (i, frame.path(), Some(motion))).collect();
+    let expected = [1, 2].map(|i| (i, bracket.frames()[i].path(), alignment.motion(&bracket, i)));
     assert_eq!(placed, expected);
     assert!(warnings.iter().any(|w| matches!(w, Warning::FrameRejected { .. })));
 }

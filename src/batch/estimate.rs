@@ -19,6 +19,8 @@ pub struct Size {
     pub size: (usize, usize),
     /// Bytes per pixel of a frame in memory: 3 with 8 bits per sample, 6 with 16 bits.
     pub bytes: usize,
+    /// Whether depth is measured if the scene has depth.
+    pub follows: bool,
     /// Whether motion is detected.
     pub seeks_ghosts: bool,
     /// Whether the frames are merged by exposure fusion.
@@ -33,6 +35,7 @@ impl Size {
         let stages = Stages {
             features: true,
             merging: self.merges,
+            following: self.follows,
             deghosting: self.seeks_ghosts,
             fusing: self.fuses,
             ..Stages::default()
@@ -64,6 +67,7 @@ mod tests {
     fn more_takes_more() {
         let size = |frames, width, seeks_ghosts, fuses| Size {
             merges: true,
+            follows: false,
             frames,
             photographs: frames,
             size: (width, 3000),

@@ -171,6 +171,8 @@ pub struct Settings {
     pub normalisation: Normalisation,
     /// Options that affect the results, as the user typed them.
     pub options: Vec<String>,
+    /// Whether depth is measured if the scene has depth.
+    pub follows: bool,
     /// Whether motion is detected.
     pub seeks_ghosts: bool,
     /// Whether pictures are made by exposure fusion.
@@ -227,6 +229,7 @@ pub fn plan(brackets: &[Planned], settings: &Settings) -> Result<Vec<Job>> {
             photographs,
             size: bracket.size,
             bytes: bytes(bracket.depth),
+            follows: settings.follows,
             seeks_ghosts: settings.seeks_ghosts,
             fuses: settings.fuses,
         };
@@ -289,6 +292,7 @@ fn responses(
             photographs: counts.iter().sum(),
             size: largest,
             bytes: brackets.iter().map(|b| bytes(b.depth)).max().unwrap_or(3),
+            follows: settings.follows,
             seeks_ghosts: false,
             fuses: false,
         };

@@ -131,6 +131,9 @@ fn aligned(report: &Report, room: usize) -> String {
         let turn = if angle >= 0.05 { format!(" and {angle:.1} degrees") } else { String::new() };
         words.push(format!("{moved} moved, by up to {shift:.1} px{turn}; remaining error {error:.1} px"));
     }
+    if report.frames.iter().any(|frame| frame.alignment.at_depth) {
+        words.push("near and far separately".to_owned());
+    }
     if unmoved > 0 {
         words.push(format!("{unmoved} unmoved"));
     }

@@ -281,7 +281,7 @@ impl Inspection<'_> {
             frame: self.frame(i),
             reference_grey: self.pyramids[self.bracket.reference_index()].largest(),
             frame_grey: self.pyramids[i].largest(),
-            warp: self.alignment.placements[i].transform(),
+            motion: self.alignment.motion(self.bracket, i),
         }
     }
 

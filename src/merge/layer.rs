@@ -7,7 +7,7 @@
 use super::noise::Noise;
 use super::weight::Weight;
 use crate::align::resampling::{resample_rows, rows_under};
-use crate::align::{Alignment, Placement, Transform};
+use crate::align::{Alignment, Motion, Placement};
 use crate::bracket::{Bracket, Frame, Window};
 use crate::error::Result;
 use crate::response::{CODES, ResponseCurve};
@@ -129,7 +129,7 @@ impl Tile {
         let size = (c.len(), r.len());
         let at = (1 + c.start - columns.start, 1 + r.start - rows.start);
         let codes = &mut self.codes[..size.0 * size.1];
-        resample_rows(window, &layer.warp, c, r, codes);
+        resample_rows(window, &layer.motion, c, r, codes);
         let painted = if layer.is_reference { 0 } else { PAINTED };
         vectorised(Apart { size, at, painted, codes, planes: &mut self.planes, clipped: &mut self.clipped });
         vectorised(Beside { rows: rows.len(), clipped: &self.clipped, beside: &mut self.beside });
@@ -220,7 +220,7 @@ pub(super) enum Fill {
 /// A frame of the merge.
 pub(super) struct Layer<'a> {
     frame: &'a Frame,
-    warp: Transform,
+    motion: Motion,
     is_reference: bool,
     /// For each channel the meaning of each code value.
     entries: [Vec<Entry>; 3],
@@ -256,7 +256,7 @@ impl Layer<'_> {
     /// [`Error::Scratch`](crate::error::Error::Scratch) if the frame is on disk and cannot be read.
     pub fn window(&self, columns: &Range<usize>, rows: &Range<usize>) -> Result<Window<'_>> {
         let size = (self.frame.width(), self.frame.height());
-        self.frame.window(rows_under(&self.warp, size, &wide(columns, size.0), &wide(rows, size.1)))
+        self.frame.window(rows_under(&self.motion, &wide(columns, size.0), &wide(rows, size.1)))
     }
 
     /// Changes the weights for a locally processed bracket. Every frame gets the same weights, because a phone
@@ -314,20 +314,20 @@ pub(super) fn layers<'a>(
         let fill = if i < bracket.reference_index() { Fill::Clipped } else { Fill::Black };
         matches!(alignment.placements[i], Placement::Assumed(_)).then_some(fill)
     };
-    let seen = |(i, frame, warp): (usize, &'a Frame, Transform)| {
+    let seen = |(i, frame, motion): (usize, &'a Frame, Motion)| {
         let noise = match weight {
-            Weight::Noise => Noise::of(frame, warp != Transform::Identity)?,
+            Weight::Noise => Noise::of(frame, !motion.is_identity())?,
             _ => Noise::least(),
         };
-        Ok((frame, warp, frame.exposure.relative() / reference, noise, (fill(i), i == bracket.reference_index())))
+        Ok((frame, motion, frame.exposure.relative() / reference, noise, (fill(i), i == bracket.reference_index())))
     };
     let placed = alignment.placed(bracket).map(seen).collect::<Result<Vec<_>>>()?;
     let most = placed.last().map_or(1.0, |(_, _, time, noise, _)| weight.middle_weight(curve, *time, noise));
     let placed = placed.into_iter();
-    let layer = |(frame, warp, time, noise, (fill, is_reference))| Layer {
+    let layer = |(frame, motion, time, noise, (fill, is_reference))| Layer {
         fill,
         is_reference,
-        ..layer(frame, warp, (time, &noise), curve, weight, most)
+        ..layer(frame, motion, (time, &noise), curve, weight, most)
     };
     Ok(placed.map(layer).collect())
 }
@@ -336,7 +336,7 @@ pub(super) fn layers<'a>(
 /// the weight of the middle code value of the longest exposure.
 fn layer<'a>(
     frame: &'a Frame,
-    warp: Transform,
+    motion: Motion,
     (time, noise): (f64, &Noise),
     curve: &ResponseCurve,
     weight: Weight,
@@ -365,10 +365,10 @@ fn layer<'a>(
     };
     Layer {
         frame,
-        warp,
         is_reference: false,
         // A frame of 8 bits that did not move has integer code values only.
-        last: if frame.max() == u16::from(u8::MAX) && warp == Transform::Identity { 255.0 } else { 254.0 },
+        last: if frame.max() == u16::from(u8::MAX) && motion.is_identity() { 255.0 } else { 254.0 },
+        motion,
         middle_weight: weight.middle_weight(curve, time, noise) / most,
         fill: None,
         black: (0..3).map(|c| curve.black(c)).fold(0.0, f64::max) as f32,

@@ -12,7 +12,7 @@ mod pictures;
 mod plot;
 mod sections;
 
-use crate::align::{AlignOptions, Alignment, Placement, Rect, Status, Transform};
+use crate::align::{AlignOptions, Alignment, Motion, Rect, Status};
 use crate::bracket::colour::Profile;
 use crate::bracket::{Bracket, Frame};
 use crate::draw::image::{Photograph, Picture, grey_jpeg, jpeg, jpegs_within};
@@ -205,11 +205,13 @@ impl Page {
 fn photographs(bracket: &Bracket, alignment: &Alignment, region: Rect) -> Result<Vec<Photograph>> {
     let most = (FRAMES_PIXELS / bracket.frames().len().max(1)).min(FRAME_PIXELS);
     let size = within_pixels((region.width(), region.height()), most);
-    let of = |(frame, warp): (&Frame, Option<Transform>)| {
-        let pixels = frames::frame(frame, &warp.unwrap_or(Transform::Identity), region, size)?;
+    let of = |(i, frame): (usize, &Frame)| {
+        let still = || Motion::none((bracket.width(), bracket.height()));
+        let motion = alignment.motion(bracket, i).unwrap_or_else(still);
+        let pixels = frames::frame(frame, &motion, region, size)?;
         Ok(Photograph { pixels, icc: icc(frame) })
     };
-    bracket.frames().iter().zip(alignment.placements.iter().map(Placement::transform)).map(of).collect()
+    bracket.frames().iter().enumerate().map(of).collect()
 }
 
 /// Returns the bytes of the ICC profile of `frame`.

@@ -45,6 +45,7 @@ fn options_report(options: &Options, merges: bool) -> OptionsReport {
     let file = options.response_file.as_ref().filter(|_| merges);
     OptionsReport {
         align: options.align.mode,
+        local: options.align.local,
         robust: options.align.robust,
         max_rotation_deg: options.align.mtb.max_rotation_deg,
         crop: options.crop.to_string(),

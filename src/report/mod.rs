@@ -6,7 +6,7 @@
 pub mod options;
 pub mod tonemapped;
 
-use crate::align::{Alignment, FeatureCounts, KeypointCounts, Model, Placement, Rect, RejectedBy, Status};
+use crate::align::{Alignment, KeypointCounts, Model, Rect, RejectedBy, Status};
 use crate::bracket::colour::{Primaries, Space};
 use crate::bracket::exposure::{ExposureSource, Reading};
 use crate::bracket::{Bracket, Frame};
@@ -189,6 +189,8 @@ pub struct AlignmentReport {
     pub displaced_fraction: Option<f64>,
     /// Median displacement, in px, of the parts that the transform does not align.
     pub displaced_px: Option<f64>,
+    /// Whether each pixel is aligned at its own depth. The homography is then only a start.
+    pub at_depth: bool,
     /// Why the frame was rejected, excluded or not moved, or how its transform was inferred.
     pub reason: Option<String>,
 }
@@ -231,8 +233,8 @@ impl Report {
     /// Creates the report of a bracket and its alignment; the caller sets the other fields.
     pub fn new(bracket: &Bracket, alignment: &Alignment, crop: Rect) -> Self {
         let size = (bracket.width(), bracket.height());
-        let found = alignment.placements.iter().zip(&alignment.features);
-        let frames = bracket.frames().iter().zip(found).map(|(frame, found)| frame_report(frame, found, size));
+        let frames = bracket.frames().iter().enumerate();
+        let frames = frames.map(|(i, frame)| frame_report(frame, alignment, i, size));
         Report {
             schema: SCHEMA,
             software: concat!("hdralign ", env!("CARGO_PKG_VERSION")),
@@ -280,11 +282,9 @@ impl Report {
     }
 }
 
-fn frame_report(
-    frame: &Frame,
-    (placement, features): (&Placement, &FeatureCounts),
-    (width, height): (usize, usize),
-) -> FrameReport {
+/// Returns the report on frame `i`, which is `frame`.
+fn frame_report(frame: &Frame, alignment: &Alignment, i: usize, (width, height): (usize, usize)) -> FrameReport {
+    let (placement, features) = (&alignment.placements[i], &alignment.features[i]);
     let (exposure, transform) = (&frame.exposure, placement.transform());
     FrameReport {
         path: text(frame.path()),
@@ -313,6 +313,7 @@ fn frame_report(
             confidence: placement.confidence(),
             displaced_fraction: placement.displaced().map(|d| d.fraction),
             displaced_px: placement.displaced().map(|d| d.px),
+            at_depth: alignment.is_at_depth(i),
             reason: placement.reason().map(str::to_owned),
         },
     }
@@ -326,6 +327,7 @@ fn text(path: &Path) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::align::Placement;
     use crate::bracket::exposure::Exposure;
     use crate::bracket::{ReferenceChoice, Samples};
 

@@ -3,7 +3,7 @@
 //!
 //! In: the options of a run. Out: values as they are typed on the command line, including defaults. Cost: negligible.
 
-use crate::align::{AlignMode, RobustMethod};
+use crate::align::{AlignMode, Local, RobustMethod};
 use crate::bracket::colour::Space;
 use crate::merge::weight::Weight;
 use crate::response::ratios::Exposures;
@@ -17,6 +17,8 @@ use serde::Serialize;
 pub struct OptionsReport {
     /// Alignment methods.
     pub align: AlignMode,
+    /// Whether near and far things are aligned separately if the scene has depth.
+    pub local: Local,
     /// Robust estimator for feature matches.
     pub robust: RobustMethod,
     /// Largest rotation that is searched with bitmaps, in degrees, in both directions.

@@ -2,14 +2,14 @@
 //! bit depth of the frame.
 //!
 //! In: a bracket and its alignment. Out: one file per frame, named `PREFIX` followed by the name of the frame. Pixels
-//! outside of the frame are black. Cost: one resampling of every frame, in bands.
+//! that the frame does not show are black. Cost: one resampling of every frame, in bands.
 
 use super::metadata::Metadata;
 use super::row_writer::RowWriter;
 use super::staging::{Pending, Written};
 use super::tiff;
 use crate::align::resampling::{OUTSIDE, resample_rows};
-use crate::align::{Alignment, Rect, Transform};
+use crate::align::{Alignment, Motion, Rect};
 use crate::bracket::{Bracket, Codes, Frame, Window};
 use crate::error::{Error, Result};
 use crate::plane::BAND_ROWS;
@@ -54,7 +54,7 @@ pub fn write(
     metadata: impl Fn(&Frame) -> Metadata,
 ) -> Result<Vec<Written>> {
     let mut files = Vec::new();
-    for (_, frame, warp) in alignment.placed(bracket) {
+    for (_, frame, motion) in alignment.placed(bracket) {
         let path = name(prefix, frame.path());
         let size = (region.width(), region.height());
         let metadata = Metadata { profile: frame.profile.clone(), ..metadata(frame) };
@@ -63,11 +63,11 @@ pub fn write(
         files.push(match whole.codes() {
             Codes::Eight(_) => {
                 let writer = tiff::Writer::<u8>::new(file, size, &metadata)?;
-                push(Box::new(writer), &whole, &warp, region, |code| (code + 0.5) as u8)?
+                push(Box::new(writer), &whole, &motion, region, |code| (code + 0.5) as u8)?
             }
             Codes::Sixteen(_) => {
                 let writer = tiff::Writer::<u16>::new(file, size, &metadata)?;
-                push(Box::new(writer), &whole, &warp, region, |code| (code * 257.0 + 0.5) as u16)?
+                push(Box::new(writer), &whole, &motion, region, |code| (code * 257.0 + 0.5) as u16)?
             }
         });
     }
@@ -80,7 +80,7 @@ pub(super) const BANDS_AT_ONCE: usize = 8;
 fn push<T: Copy + Send + Sync>(
     mut writer: Box<dyn RowWriter<[T; 3]> + '_>,
     window: &Window,
-    warp: &Transform,
+    motion: &Motion,
     region: Rect,
     round: impl Fn(f32) -> T + Sync,
 ) -> Result<Written> {
@@ -92,7 +92,7 @@ fn push<T: Copy + Send + Sync>(
         rows.par_chunks_mut(BAND_ROWS * width).enumerate().for_each_init(Vec::new, |codes, (band, to)| {
             let y = region.y0 + first + band * BAND_ROWS;
             codes.resize(to.len(), [0.0f32; 3]);
-            resample_rows(window, warp, region.x0..region.x1, y..y + to.len() / width, codes);
+            resample_rows(window, motion, region.x0..region.x1, y..y + to.len() / width, codes);
             for (to, p) in to.iter_mut().zip(codes.iter()) {
                 *to = if p[0] == OUTSIDE { [black; 3] } else { p.map(&round) };
             }

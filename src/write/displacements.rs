@@ -1,15 +1,15 @@
 //! Writes the displacement of every pixel in every merged frame, as TIFF.
 //!
-//! In: the motions of the frames. Out: one file per frame, named `PREFIX` followed by the name of the frame, with two
+//! In: a bracket and its alignment. Out: one file per frame, named `PREFIX` followed by the name of the frame, with two
 //! floats for each pixel of the reference: where the frame shows the pixel, minus the position of the pixel. NaN if
-//! that is outside of the frame. Cost: a few operations for each pixel of each frame.
+//! the frame does not show it. Cost: a few operations for each pixel of each frame.
 
 use super::aligned::{self, BANDS_AT_ONCE};
 use super::metadata::Metadata;
 use super::row_writer::RowWriter;
 use super::staging::{Pending, Written};
 use super::tiff;
-use crate::align::Motion;
+use crate::align::{Alignment, Motion};
 use crate::bracket::{Bracket, Frame};
 use crate::error::Result;
 use crate::plane::BAND_ROWS;
@@ -24,20 +24,19 @@ pub fn names(prefix: &Path, images: &[PathBuf]) -> Result<Vec<PathBuf>> {
     aligned::names("--displacements", prefix, images)
 }
 
-/// Writes the displacements of every frame of `bracket` that has a motion, with the `metadata` of the frame.
+/// Writes the displacements of every merged frame of `bracket` but the reference, with the `metadata` of the frame.
 ///
 /// # Errors
 /// [`Error::Write`](crate::error::Error::Write).
 pub fn write(
     bracket: &Bracket,
-    motions: &[Option<Motion>],
+    alignment: &Alignment,
     prefix: &Path,
     metadata: impl Fn(&Frame) -> Metadata,
 ) -> Result<Vec<Written>> {
     let (width, height) = (bracket.width(), bracket.height());
     let mut files = Vec::new();
-    for (frame, motion) in bracket.frames().iter().zip(motions) {
-        let Some(motion) = motion else { continue };
+    for (_, frame, motion) in alignment.placed(bracket).filter(|(i, ..)| *i != bracket.reference_index()) {
         let file = Pending::create(&aligned::name(prefix, frame.path()))?;
         let mut writer = Box::new(tiff::Writer::displacements(file, (width, height), &metadata(frame))?);
         let mut rows = vec![[0.0f32; 2]; width * height.min(BANDS_AT_ONCE * BAND_ROWS)];
@@ -45,7 +44,7 @@ pub fn write(
             let rows = &mut rows[..width * (height - first).min(BANDS_AT_ONCE * BAND_ROWS)];
             rows.par_chunks_exact_mut(width).enumerate().for_each(|(i, row)| {
                 for (x, to) in row.iter_mut().enumerate() {
-                    *to = displacement(motion, x, first + i, (width, height));
+                    *to = displacement(&motion, x, first + i);
                 }
             });
             writer.push(rows)?;
@@ -55,9 +54,8 @@ pub fn write(
     Ok(files)
 }
 
-/// The displacement of the pixel (x, y); NaN outside of a frame of `size`.
-fn displacement(motion: &Motion, x: usize, y: usize, size: (usize, usize)) -> [f32; 2] {
-    let (u, v) = motion.position(x, y);
-    let is_inside = u >= 0.0 && v >= 0.0 && u <= (size.0 - 1) as f64 && v <= (size.1 - 1) as f64;
-    if is_inside { [(u - x as f64) as f32, (v - y as f64) as f32] } else { [f32::NAN; 2] }
+/// The displacement of the pixel (x, y); NaN if the frame does not show it.
+fn displacement(motion: &Motion, x: usize, y: usize) -> [f32; 2] {
+    let (x, y) = (x as f64, y as f64);
+    motion.inside(x, y).map_or([f32::NAN; 2], |(u, v)| [(u - x) as f32, (v - y) as f32])
 }

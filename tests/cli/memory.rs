@@ -42,7 +42,8 @@ fn memory_allowed_is_kept_on_any_number_of_threads_with_the_same_bytes() {
     let line = "merge w2.jpg w3.jpg w4.jpg -q --force -o a.exr -o a.png";
     folder.line(&format!("{line} --threads 2")).done();
     let expected = [folder.bytes("a.exr"), folder.bytes("a.png")];
-    for (options, allowed) in [("--threads 1", 90), ("--threads 4", 90), ("--threads 16", 130), ("--threads 64", 250)] {
+    for (options, allowed) in [("--threads 1", 100), ("--threads 4", 100), ("--threads 16", 130), ("--threads 64", 250)]
+    {
         let most = peak(&folder, &format!("{line} {options} --max-memory {allowed}MB --scratch ."));
         assert!(most <= allowed * 1_000_000, "{options}: {} MB of {allowed}", most / 1_000_000);
         assert!(most > 20_000_000, "{options}: {most} bytes were seen");

@@ -133,7 +133,7 @@ fn requested_options_are_in_the_report() {
     let merge = "merge w2.jpg w3.jpg w4.jpg -o a.png";
     let asked = written(&folder, merge)["options"].clone();
     let expected = serde_json::json!({
-        "align": "auto", "robust": "ransac", "max_rotation_deg": 5.0, "crop": "common", "exposures": "fine-tuned",
+        "align": "auto", "local": "auto", "robust": "ransac", "max_rotation_deg": 5.0, "crop": "common", "exposures": "fine-tuned",
         "response_model": "debevec", "response_file": null, "weight": "hat", "deghost_strength": 0.5, "flare": false,
         "colour": null, "operator": {
             "name": "natural", "brightness": null, "contrast": 0.2, "detail": 1.0, "saturation": 1.0
@@ -145,12 +145,13 @@ fn requested_options_are_in_the_report() {
         "bit_depth": 8, "picture_colour": "srgb", "resize": null
     });
     assert_eq!(asked, expected);
-    let more = "--align mtb --robust lmeds --max-rotation 2 --crop none --exposures as-given --response-model srgb \
+    let more = "--align mtb --local off --robust lmeds --max-rotation 2 --crop none --exposures as-given --response-model srgb \
                 --weight mann-picard --deghost=0.25 --flare --colour rec2020 --bit-depth 16 --picture-colour adobe-rgb \
                 --resize 50%";
     let asked = written(&folder, &format!("{merge} {more}"))["options"].clone();
     for (key, value) in [
         ("align", Value::from("mtb")),
+        ("local", "off".into()),
         ("robust", "lmeds".into()),
         ("max_rotation_deg", 2.0.into()),
         ("crop", "none".into()),

@@ -1,14 +1,15 @@
 //! The cost volume: how well each relative depth explains what all frames show around each pixel.
 //!
-//! In: the reference and the frames on one level, and their cameras. Out: a [`CostVolume`], one cost for each pixel and
+//! In: the frames on one level, each compared with the reference. Out: a [`CostVolume`], one cost for each pixel and
 //! each of the [`Labels`]. Cost: about a hundred operations for each pixel, label and frame. Source: plane sweep
 //! (Collins, "A Space-Sweep Approach to True Multi-Image Matching", CVPR 1996); the profile likelihood of two windows
 //! that are linear functions of each other depends only on their correlation.
 //!
 //! A label is a relative depth. Where frames are clipped or too dark, they say nothing about the depth; the other
-//! frames do.
+//! frames do. The borders of clipped areas say most: see [`Compared`].
 
-use crate::align::depth::camera::Camera;
+use crate::align::motion::camera::Camera;
+use crate::align::photometric::ToneTables;
 use crate::plane::Plane;
 use crate::simd::{Loops, at_least, log2, vectorised};
 use rayon::prelude::*;
@@ -49,7 +50,7 @@ impl Labels {
     }
 }
 
-/// The costs of all labels of all pixels.
+/// The costs of all labels of the pixels of some rows.
 #[derive(Debug)]
 pub(super) struct CostVolume {
     pub(super) width: usize,
@@ -61,15 +62,36 @@ pub(super) struct CostVolume {
     pub(super) scale: f32,
 }
 
-/// Returns the grey values of `plane`, NaN where they are not usable.
-pub(super) fn usable(plane: &Plane<u8>) -> Plane<f32> {
-    plane.map(|v| if USABLE.contains(&v) { f32::from(v) } else { f32::NAN })
+/// Whether a grey value is neither nearly black nor clipped.
+pub(super) fn is_usable(value: u8) -> bool {
+    USABLE.contains(&value)
+}
+
+/// A frame that is compared with the reference: both at the exposure of the brighter one, so that both are clipped in
+/// the same areas, and the borders of these areas can be compared.
+pub(super) struct Compared {
+    /// Grey values of the reference and of the frame; NaN where they are nearly black.
+    pub(super) reference: Plane<f32>,
+    pub(super) frame: Plane<f32>,
+    camera: Camera,
+}
+
+impl Compared {
+    /// The comparison of two frames by the tables `tones`.
+    pub(super) fn new(reference: &Plane<u8>, frame: &Plane<u8>, tones: &ToneTables, camera: Camera) -> Self {
+        let converted = |plane: &Plane<u8>, table: &[f32; 256]| {
+            plane.map(|v| if v < *USABLE.start() { f32::NAN } else { table[usize::from(v)] })
+        };
+        let (reference, frame) = (converted(reference, &tones.reference), converted(frame, &tones.frame));
+        Compared { reference, frame, camera }
+    }
 }
 
 impl CostVolume {
-    /// Computes the volume from the [`usable`] values of the reference and of the frames.
-    pub(super) fn new(reference: &Plane<f32>, frames: &[(Plane<f32>, Camera)], labels: &Labels) -> Self {
-        let (width, height) = (reference.width(), reference.height());
+    /// Computes the volume of some rows of the reference, which is `width` pixels wide, from the comparisons with all
+    /// frames.
+    pub(super) fn new(width: usize, rows: Range<usize>, frames: &[Compared], labels: &Labels) -> Self {
+        let height = rows.len();
         let most = -0.5 * log2(UNEXPLAINED) * std::f32::consts::LN_2 * frames.len() as f32;
         let scale = 255.0 / (most + UNEXPECTED);
         let unknown = 255 - (UNEXPECTED * scale + 0.5) as u8;
@@ -77,9 +99,9 @@ impl CostVolume {
         costs.par_chunks_mut(ROWS * width * labels.count).enumerate().for_each_init(
             || Band::new(width),
             |band, (i, costs)| {
-                let rows = i * ROWS..((i + 1) * ROWS).min(height);
+                let rows = rows.start + i * ROWS..(rows.start + (i + 1) * ROWS).min(rows.end);
                 for label in 0..labels.count {
-                    let gains = band.gains(reference, frames, labels.depth(label as f32), rows.clone());
+                    let gains = band.gains(frames, labels.depth(label as f32), rows.clone());
                     for (costs, gain) in costs.chunks_exact_mut(labels.count).zip(gains) {
                         costs[label] = unknown.saturating_sub((scale * gain + 0.5) as u8);
                     }
@@ -133,10 +155,10 @@ impl Band {
     }
 
     /// Returns by how much the log likelihood of the pixels of `rows` rises if they have the relative depth `q`.
-    fn gains(&mut self, reference: &Plane<f32>, frames: &[(Plane<f32>, Camera)], q: f64, rows: Range<usize>) -> &[f32] {
+    fn gains(&mut self, frames: &[Compared], q: f64, rows: Range<usize>) -> &[f32] {
         let gains = &mut self.gains[..rows.len() * self.width];
         gains.fill(0.0);
-        for (frame, camera) in frames {
+        for Compared { reference, frame, camera } in frames {
             for (i, moments) in self.moments[..rows.len() + 2 * RADIUS].iter_mut().enumerate() {
                 match (rows.start + i).checked_sub(RADIUS).filter(|&y| y < reference.height()) {
                     Some(y) => {

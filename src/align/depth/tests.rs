@@ -1,12 +1,15 @@
 //! The depth stages against textbook versions, and against scenes with known depth.
 
 use super::*;
-use crate::align::Placement;
-use crate::align::depth::semi_global::Choice;
-use crate::align::result::{Estimate, FeatureCounts, Rect};
+use crate::align::motion::Motion;
 use crate::align::scene::{Scene, Shot, photograph, shift, uniform};
-use crate::align::transform::{Model, Transform};
+use crate::align::tests::frame;
+use crate::align::transforms_file::SavedAlignment;
+use crate::align::{AlignOptions, Alignment, Local, align};
+use crate::bracket::ReferenceChoice;
 use nalgebra::{Matrix2, Matrix3, SVector, Vector2};
+use std::path::Path;
+use std::sync::Arc;
 
 const SIZE: (usize, usize) = (360, 240);
 
@@ -27,9 +30,9 @@ fn camera_maps_pixels_as_the_motion_displaces_them() {
     let coordinates = Coordinates::new(SIZE);
     let [motion, _] = two_motions();
     let h = shift(3.0, -2.0).matrix(SIZE.0, SIZE.1);
-    let camera = Camera::new(&h, &motion, &coordinates);
+    let camera = motion.camera(&h, &coordinates);
     // The same camera in pixels of a picture that is twice as large.
-    let large = camera.at_full_size(&level_to_full(1));
+    let large = camera.between(&full_to_level(1), &level_to_full(1));
     for (x, y, q) in [(0.0, 0.0, 0.0), (100.0, 200.0, 1.5), (359.0, 120.0, -2.0)] {
         let [dx, dy] = motion.displacement(coordinates.of([x, y]), q, coordinates.unit);
         let (u, v) = camera.position(x, y, q);
@@ -39,24 +42,25 @@ fn camera_maps_pixels_as_the_motion_displaces_them() {
     }
 }
 
-/// Sights of `patches` patches in frames with these motions; `depth` gives the relative depth of a patch at a position.
-/// Each displacement has an error of up to 0.1 pixels along each axis; every tenth is wrong by up to 8 pixels.
-fn sights(motions: &[CameraMotion], patches: usize, depth: impl Fn([f64; 2]) -> f64) -> Vec<Vec<Sight>> {
+/// Observations of `patches` patches in frames with these motions; `depth` gives the relative depth of a patch at a
+/// position. Each displacement has an error of up to 0.1 pixels along each axis; every tenth is wrong by up to 8
+/// pixels.
+fn observations(motions: &[CameraMotion], patches: usize, depth: impl Fn([f64; 2]) -> f64) -> Vec<Vec<Observation>> {
     let unit = Coordinates::new(SIZE).unit;
     let number = |seed: u64, i: usize, j: usize| 2.0 * uniform(seed, i as i64, j as i64) - 1.0;
-    let sight = |frame: usize, i: usize| {
+    let observation = |frame: usize, i: usize| {
         let at = [number(1, i, 0), 0.6 * number(1, i, 1)];
         let error = if (i + frame).is_multiple_of(10) { 8.0 } else { 0.1 };
         let wrong = [0, 1].map(|axis| error * number(2 + axis as u64, i, frame));
         let [dx, dy] = motions[frame].displacement(at, depth(at), unit);
-        Sight {
+        Observation {
             patch: i,
             at,
             displacement: Vector2::new(dx + wrong[0], dy + wrong[1]),
             precision: Matrix2::identity() * 40.0,
         }
     };
-    (0..motions.len()).map(|frame| (0..patches).map(|i| sight(frame, i)).collect()).collect()
+    (0..motions.len()).map(|frame| (0..patches).map(|i| observation(frame, i)).collect()).collect()
 }
 
 /// Two planes, one of them tilted.
@@ -68,14 +72,14 @@ fn two_planes([u, v]: [f64; 2]) -> f64 {
 fn motions_and_depths_explain_the_displacements() {
     let unit = Coordinates::new(SIZE).unit;
     let truth = two_motions();
-    let frames = sights(&truth, 600, two_planes);
+    let frames = observations(&truth, 600, two_planes);
     let found = geometry::fit(&frames, 600, unit).unwrap();
     // The depths and motions are known up to a change of the plane of depth 0, so displacements are compared. The error
     // of a patch is that of its own displacements, about 0.06 px: it has one depth for four coordinates.
     let mut errors = Vec::new();
-    for (frame, (sights, truth)) in frames.iter().zip(&truth).enumerate() {
+    for (frame, (observations, truth)) in frames.iter().zip(&truth).enumerate() {
         let motion = found.motions[frame].unwrap();
-        for s in sights {
+        for s in observations {
             let a = motion.displacement(s.at, found.depths[s.patch].unwrap(), unit);
             let b = truth.displacement(s.at, two_planes(s.at), unit);
             errors.push(((a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1])).sqrt());
@@ -89,18 +93,19 @@ fn motions_and_depths_explain_the_displacements() {
 #[test]
 fn nothing_is_measured_without_depth_or_with_independent_motion() {
     let unit = Coordinates::new(SIZE).unit;
-    let flat = sights(&two_motions(), 600, |_| 0.0);
-    assert!(geometry::fit(&flat, 600, unit).is_none(), "one homography suffices");
+    let flat = observations(&two_motions(), 600, |_| 0.0);
+    let is_depth = |frames: &[Vec<Observation>]| geometry::fit(frames, 600, unit).is_some_and(|g| g.is_depth());
+    assert!(!is_depth(&flat), "one homography suffices");
     // A quarter of the patches move by themselves, in each frame in another way.
     let mut leaves = flat;
-    for (frame, sights) in leaves.iter_mut().enumerate() {
-        for s in sights.iter_mut().filter(|s| s.patch.is_multiple_of(4)) {
+    for (frame, observations) in leaves.iter_mut().enumerate() {
+        for s in observations.iter_mut().filter(|s| s.patch.is_multiple_of(4)) {
             let own = [0, 1].map(|axis| 10.0 * (uniform(7 + axis, s.patch as i64, frame as i64) - 0.5));
             s.displacement += Vector2::from(own);
         }
     }
-    assert!(geometry::fit(&leaves, 600, unit).is_none(), "depth does not explain it");
-    let few = sights(&two_motions(), 20, two_planes);
+    assert!(!is_depth(&leaves), "depth does not explain it");
+    let few = observations(&two_motions(), 20, two_planes);
     assert!(geometry::fit(&few, 20, unit).is_none(), "too few patches");
 }
 
@@ -170,19 +175,21 @@ fn semi_global_matching_is_that_of_the_paper() {
 fn costs_follow_the_correlation_of_windows() {
     let size = (40, 30);
     let take = |dx: f64| Scene::new(3).photograph(size, &shift(dx, 0.0), Shot { noise: 0.0, ..Shot::at(0.0) });
-    let (reference, frame) = (usable(&take(0.0)), usable(&take(2.0)));
     // At relative depth q, the frame is shifted by q pixels.
     let towards = motion([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0]);
-    let camera = Camera::new(&Matrix3::identity(), &towards, &Coordinates::new(size));
+    let camera = towards.camera(&Matrix3::identity(), &Coordinates::new(size));
+    let (reference, frame) = (take(0.0), take(2.0));
+    let tones = ToneTables::between(&reference, &frame, &Matrix3::identity());
+    let compared = [Compared::new(&reference, &frame, &tones, camera)];
     let labels = Labels { first: 0.0, step: 1.0, count: 5 };
-    let volume = CostVolume::new(&reference, &[(frame.clone(), camera)], &labels);
+    let volume = CostVolume::new(size.0, 0..size.1, &compared, &labels);
     for (x, y) in [(5, 5), (20, 12), (30, 25), (17, 3)] {
         for label in 0..5 {
             let window = |plane: &Plane<f32>, dx: usize| -> Vec<f64> {
                 let rows = (y - 2..=y + 2).flat_map(|row| (x - 2..=x + 2).map(move |column| (column, row)));
                 rows.map(|(column, row)| f64::from(plane.at(column + dx, row))).collect()
             };
-            let (a, b) = (window(&reference, 0), window(&frame, label));
+            let (a, b) = (window(&compared[0].reference, 0), window(&compared[0].frame, label));
             if a.iter().chain(&b).any(|v| v.is_nan()) {
                 continue;
             }
@@ -195,8 +202,8 @@ fn costs_follow_the_correlation_of_windows() {
             let most = -0.5 * 0.03f64.ln() + 0.06;
             let expected = 255.0 - 255.0 / most * (0.06 + gain);
             let found = f64::from(volume.at(y * size.0 + x)[label]);
-            // Both the gain and the offset are rounded to whole units. Sums of 25 floats of up to 255^2 have an error of
-            // about 1e-6 of their size, which is 0.1 in a variance and moves the cost by less than a unit.
+            // Both the gain and the offset are rounded to whole units. Sums of 25 floats of up to 255^2 have an error
+            // of about 1e-6 of their size, which is 0.1 in a variance and moves the cost by less than a unit.
             assert!((found - expected).abs() <= 2.0, "({x}, {y}), label {label}: {found} instead of {expected}");
         }
     }
@@ -253,53 +260,75 @@ fn photographs(exposures: [f64; 3], far: [[f64; 2]; 3], near: [[f64; 2]; 3]) -> 
     (0..3).map(take).collect()
 }
 
+const EXPOSURES: [f64; 3] = [-1.5, 0.0, 1.5];
+const FAR: [[f64; 2]; 3] = [[-2.0, 1.0], [0.0, 0.0], [3.0, 2.0]];
+const NEAR: [[f64; 2]; 3] = [[-7.0, 1.0], [0.0, 0.0], [3.0, 7.0]];
+
 #[test]
 fn near_disc_and_far_scene_are_both_followed_on_any_number_of_threads() {
-    let far = [[-2.0, 1.0], [0.0, 0.0], [3.0, 2.0]];
-    let near = [[-7.0, 1.0], [0.0, 0.0], [3.0, 7.0]];
-    let pyramids: Vec<GreyPyramid> =
-        photographs([-1.5, 0.0, 1.5], far, near).into_iter().map(GreyPyramid::new).collect();
-    let placed = |i: usize| {
-        let [dx, dy] = far[i];
-        let estimate = Estimate {
-            transform: shift(dx, dy),
-            model: Model::Shift,
-            error_px: None,
-            confidence: 1.0,
-            displaced: None,
-            reason: None,
-        };
-        if i == 1 { Placement::Reference } else { Placement::Placed(estimate) }
-    };
-    let alignment = Alignment {
-        placements: (0..3).map(placed).collect(),
-        features: vec![FeatureCounts::default(); 3],
-        overlap: Rect { x0: 0, y0: 0, x1: SIZE.0, y1: SIZE.1 },
-    };
+    let (far, near) = (FAR, NEAR);
+    let pyramids: Vec<GreyPyramid> = photographs(EXPOSURES, far, near).into_iter().map(GreyPyramid::new).collect();
+    let start = |i: usize| Start { transform: shift(far[i][0], far[i][1]), is_rejected: i == 2 };
+    let starts = [Some(start(0)), None, Some(start(2))];
     let on = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| Relief::of(&pyramids, 1, &alignment, threads).unwrap())
+        pool.install(|| relief(&pyramids, 1, &starts, threads).unwrap().0)
     };
-    let relief = on(2);
-    assert!([1, 5].map(on).iter().all(|other| other.depths == relief.depths && other.cameras == relief.cameras));
+    let found = Arc::new(on(2));
+    assert!([1, 5].map(on).iter().all(|other| other == &*found));
     for i in [0, 2] {
-        let camera = relief.cameras[i].unwrap();
+        let motion = Motion::none(SIZE).with_relief(Some(&found), i);
         let (mut right, mut all) = (0, 0);
         for (x, y) in (10..SIZE.1 - 10).step_by(3).flat_map(|y| (10..SIZE.0 - 10).step_by(3).map(move |x| (x, y))) {
             let (a, b) = (x as f64 - 150.0, y as f64 - 120.0);
             let distance = (a * a + b * b).sqrt();
-            // Pixels next to the edge of the disc may be hidden in the frame.
-            if (distance - 70.0).abs() < 8.0 {
+            // Pixels next to the edge of the disc may be hidden in the frame: the disc moves by 5 px, see below.
+            if (distance - 70.0).abs() < 12.0 {
                 continue;
             }
             let [dx, dy] = if distance < 70.0 { near[i] } else { far[i] };
-            let (u, v) = camera.position(x as f64, y as f64, f64::from(relief.depth(x, y)));
+            let (u, v) = motion.position(x as f64, y as f64).unwrap();
             let (ex, ey) = (u - x as f64 - dx, v - y as f64 - dy);
             all += 1;
             right += usize::from(ex * ex + ey * ey < 1.0);
         }
         assert!(right as f64 > 0.97 * all as f64, "frame {i}: {right} of {all}");
+        // A far pixel is hidden if the frame shows the disc at its position. The edge of the disc is found with an
+        // error of some pixels, and what a frame shows within two pixels can hide a pixel.
+        let from_disc = |x: f64, y: f64| ((x - 150.0) * (x - 150.0) + (y - 120.0) * (y - 120.0)).sqrt() - 70.0;
+        let (mut hidden, mut missed, mut shown, mut masked) = (0, 0, 0, 0);
+        for (x, y) in (10..SIZE.1 - 10).flat_map(|y| (10..SIZE.0 - 10).map(move |x| (x as f64, y as f64))) {
+            let inside = -from_disc(x + far[i][0] - near[i][0], y + far[i][1] - near[i][1]);
+            let is_hidden = motion.position(x, y).is_none();
+            if from_disc(x, y) > 2.0 && inside > 2.0 {
+                (hidden, missed) = (hidden + 1, missed + usize::from(!is_hidden));
+            } else if from_disc(x, y) < -4.0 || inside < -6.0 {
+                (shown, masked) = (shown + 1, masked + usize::from(is_hidden));
+            }
+        }
+        assert!(hidden > 30 && 20 * missed < hidden, "frame {i}: {missed} of {hidden}");
+        assert!(100 * masked < shown, "frame {i}: {masked} of {shown}");
     }
-    let flat: Vec<GreyPyramid> = photographs([-1.5, 0.0, 1.5], far, far).into_iter().map(GreyPyramid::new).collect();
-    assert!(Relief::of(&flat, 1, &alignment, 2).is_none(), "one shift fits everywhere");
+    let flat: Vec<GreyPyramid> = photographs(EXPOSURES, far, far).into_iter().map(GreyPyramid::new).collect();
+    assert!(relief(&flat, 1, &starts, 2).is_none(), "one shift fits everywhere");
+}
+
+#[test]
+fn bracket_is_aligned_at_its_depths_and_again_from_its_transforms() {
+    let photographs = photographs(EXPOSURES, FAR, NEAR);
+    let frames = photographs.iter().zip(EXPOSURES).enumerate();
+    let frames = frames.map(|(i, (grey, ev))| frame(&format!("{i}"), grey, ev)).collect();
+    let bracket = Bracket::new(frames, &ReferenceChoice::Number(2)).unwrap();
+    let (first, warnings) = align(&bracket, &AlignOptions::default()).unwrap();
+    assert!(warnings.is_empty(), "{warnings:?}");
+    assert!([0, 2].iter().all(|&i| first.is_at_depth(i) && first.placements[i].confidence() > 0.9), "{first:?}");
+    let saved = SavedAlignment::of(&bracket, &first).to_json();
+    let given = SavedAlignment::from_json(&saved, Path::new("t.json")).unwrap().frames;
+    let (again, _) = align(&bracket, &AlignOptions { given, ..AlignOptions::default() }).unwrap();
+    assert!(again.relief == first.relief && again.overlap == first.overlap);
+    // A frame covers less of the reference if each pixel may have any of the depths.
+    let (flat, warnings) = align(&bracket, &AlignOptions { local: Local::Off, ..AlignOptions::default() }).unwrap();
+    assert!(flat.relief.is_none() && !warnings.is_empty(), "{warnings:?}");
+    let area = |alignment: &Alignment| alignment.overlap.width() * alignment.overlap.height();
+    assert!(area(&first) < area(&flat));
 }

@@ -118,6 +118,7 @@ impl Search<'_> {
         let reliability = best.reliability * candidates.uniqueness((b, best), is_other);
         let unique = Candidate { reliability, ..best.clone() };
         if !is_acceptable(&unique) {
+            let _ = self.unaccepted[i].set(best.transform);
             return rejected(rejection_reason(Some(best)), unique.confidence());
         }
         let target = &targets[b];

@@ -66,6 +66,20 @@ pub(crate) struct Search<'a> {
     pub(crate) options: &'a AlignOptions,
     /// The local check of each frame that the bitmaps aligned without doubt, made while its planes were in memory.
     pub(crate) checks: Vec<OnceLock<LocalCheck>>,
+    /// The transform of each frame that was rejected because too many tiles disagree with it.
+    pub(crate) unaccepted: Vec<OnceLock<Transform>>,
+}
+
+/// The result of a search.
+pub(crate) struct Searched {
+    /// The placement of each frame.
+    pub(crate) placements: Vec<Placement>,
+    /// Numbers of keypoints and inliers of each frame.
+    pub(crate) features: Vec<FeatureCounts>,
+    /// The grey pyramid of each frame.
+    pub(crate) pyramids: Vec<GreyPyramid>,
+    /// The transform of each frame that was rejected because too many tiles disagree with it.
+    pub(crate) unaccepted: Vec<Option<Transform>>,
 }
 
 /// The placements of all frames, and their numbers of keypoints and inliers.
@@ -265,7 +279,7 @@ pub(crate) fn search(
     options: &AlignOptions,
     given: &[Option<Found>],
     find: fn(&Search) -> AllFound,
-) -> Result<AllFound> {
+) -> Result<Searched> {
     let prepared = bracket.map_whole(content_and_pyramid);
     let (contents, pyramids): (Vec<_>, Vec<_>) = prepared.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
     let capture_times = capture_times(bracket);
@@ -288,10 +302,13 @@ pub(crate) fn search(
         given,
         options,
         checks: (0..pyramids.len()).map(|_| OnceLock::new()).collect(),
+        unaccepted: (0..pyramids.len()).map(|_| OnceLock::new()).collect(),
     };
-    let (mut placements, counts) = find(&search);
+    let (mut placements, features) = find(&search);
     search.check_locally(&mut placements);
-    failed.into_inner().map_or(Ok((placements, counts)), Err)
+    let unaccepted = search.unaccepted.into_iter().map(OnceLock::into_inner).collect();
+    let searched = Searched { placements, features, pyramids, unaccepted };
+    failed.into_inner().map_or(Ok(searched), Err)
 }
 
 #[cfg(test)]

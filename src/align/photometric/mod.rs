@@ -11,6 +11,7 @@
 mod intensity_map;
 mod tones;
 
+pub(crate) use intensity_map::IntensityMap;
 pub use tones::ToneTables;
 
 use crate::plane::Plane;

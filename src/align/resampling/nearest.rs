@@ -5,12 +5,11 @@
 //! this where an error of half a pixel does no harm, as in uniform areas or in statistics of many pixels; otherwise use
 //! [`resampling`](crate::align::resampling).
 
+use crate::align::motion::Motion;
 use crate::align::resampling::rows_under;
 use crate::align::result::Alignment;
-use crate::align::transform::{Transform, map};
 use crate::bracket::{Bracket, Frame, Window};
 use crate::error::Result;
-use nalgebra::Matrix3;
 use std::ops::Range;
 
 /// An aligned frame.
@@ -19,19 +18,12 @@ pub struct Placed<'a> {
     pub frame: &'a Frame,
     /// The index of the frame in the bracket.
     pub index: usize,
-    transform: Transform,
-    /// The matrix of the transform, reference pixel -> frame pixel; none for the identity.
-    matrix: Option<Matrix3<f64>>,
+    motion: Motion,
 }
 
 /// Returns the aligned frames of `bracket`.
 pub fn placed<'a>(bracket: &'a Bracket, alignment: &'a Alignment) -> Vec<Placed<'a>> {
-    let matrix = |frame: &Frame, transform: Transform| match transform {
-        Transform::Identity => None,
-        transform => Some(transform.matrix(frame.width(), frame.height())),
-    };
-    let with_matrix = |(index, frame, transform)| Placed { frame, index, transform, matrix: matrix(frame, transform) };
-    alignment.placed(bracket).map(with_matrix).collect()
+    alignment.placed(bracket).map(|(index, frame, motion)| Placed { frame, index, motion }).collect()
 }
 
 impl Placed<'_> {
@@ -40,9 +32,8 @@ impl Placed<'_> {
     /// # Errors
     /// [`Error::Scratch`](crate::error::Error::Scratch) if a frame on disk cannot be read.
     pub fn strip(&self, columns: &Range<usize>, rows: &Range<usize>) -> Result<Strip<'_>> {
-        let size = (self.frame.width(), self.frame.height());
-        let window = self.frame.window(rows_under(&self.transform, size, columns, rows))?;
-        Ok(Strip { window, matrix: self.matrix })
+        let window = self.frame.window(rows_under(&self.motion, columns, rows))?;
+        Ok(Strip { window, motion: &self.motion })
     }
 }
 
@@ -50,7 +41,7 @@ impl Placed<'_> {
 pub struct Strip<'a> {
     /// The pixel values of these rows.
     pub window: Window<'a>,
-    matrix: Option<Matrix3<f64>>,
+    motion: &'a Motion,
 }
 
 impl Strip<'_> {
@@ -58,20 +49,19 @@ impl Strip<'_> {
     /// value in `window`, the rows of the frame that are in memory.
     ///
     /// The reference's square has `side` x `side` pixels; its top-left pixel is (x, y). Returns none if the
-    /// corresponding square is not completely inside the frame.
+    /// corresponding square is not completely inside the frame, or hidden.
     pub fn start(&self, x: usize, y: usize, side: usize) -> Option<usize> {
         let (width, height) = (self.window.width(), self.window.height());
-        let (x, y) = match &self.matrix {
-            None => (x, y),
-            Some(h) => {
-                let half = (side / 2) as f64;
-                let (u, v) = map(h, x as f64 + half, y as f64 + half);
-                let (u, v) = ((u + 0.5).floor() - half, (v + 0.5).floor() - half);
-                if !(u >= 0.0 && v >= 0.0) {
-                    return None;
-                }
-                (u as usize, v as usize)
+        let (x, y) = if self.motion.is_identity() {
+            (x, y)
+        } else {
+            let half = (side / 2) as f64;
+            let (u, v) = self.motion.position(x as f64 + half, y as f64 + half)?;
+            let (u, v) = ((u + 0.5).floor() - half, (v + 0.5).floor() - half);
+            if !(u >= 0.0 && v >= 0.0) {
+                return None;
             }
+            (u as usize, v as usize)
         };
         let fits = x.saturating_add(side) <= width && y.saturating_add(side) <= height;
         fits.then(|| 3 * ((y - self.window.rows().start) * width + x))
@@ -81,7 +71,7 @@ impl Strip<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::align::Placement;
+    use crate::align::{Placement, Transform};
     use crate::bracket::Codes;
     use crate::response::tests::still;
 

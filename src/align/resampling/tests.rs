@@ -1,11 +1,16 @@
 //! Tests of the Lanczos resampling against its definition.
 
 use super::*;
+use crate::align::motion::camera::Camera;
+use crate::align::motion::relief::{Relief, View};
 use crate::align::resampling::lanczos::lanczos3;
 use crate::align::resampling::tile::Source;
+use crate::align::transform::Transform;
 use crate::bracket::exposure::Exposure;
 use crate::bracket::{Frame, Samples};
-use nalgebra::Matrix3;
+use crate::plane::Plane;
+use nalgebra::{Matrix3, Matrix3x4};
+use std::sync::Arc;
 
 fn frame(width: usize, height: usize, f: impl Fn(f64, f64) -> f64) -> Frame {
     let codes = (0..width * height)
@@ -18,9 +23,24 @@ fn frame(width: usize, height: usize, f: impl Fn(f64, f64) -> f64) -> Frame {
 }
 
 fn whole(frame: &Frame, transform: &Transform) -> Vec<[f32; 3]> {
+    moved(frame, &Motion::new(transform, (frame.width(), frame.height())))
+}
+
+fn moved(frame: &Frame, motion: &Motion) -> Vec<[f32; 3]> {
     let mut out = vec![[0.0; 3]; frame.width() * frame.height()];
-    resample_rows(&frame.whole().unwrap(), transform, 0..frame.width(), 0..frame.height(), &mut out);
+    resample_rows(&frame.whole().unwrap(), motion, 0..frame.width(), 0..frame.height(), &mut out);
     out
+}
+
+/// The motion of a frame of a scene with two depths, and with depths between; some pixels are hidden.
+fn bumpy(width: usize, height: usize) -> Motion {
+    let depths = Plane::from_rows(width / 2, height / 2, |y, row| {
+        row.iter_mut().enumerate().for_each(|(x, q)| *q = if x > y { 9.0 + 0.05 * x as f32 } else { -2.5 });
+    });
+    let hidden = depths.map(|q| q > 10.0);
+    let camera = Camera::new(Matrix3x4::new(1.0, 0.01, 2.3, 0.7, -0.01, 1.0, -1.6, 0.4, 1e-5, 2e-5, 1.0, 1e-4));
+    let relief = Relief::new(1, depths, 1.0, vec![Some(View { camera, hidden })]);
+    Motion::none((width, height)).with_relief(Some(&Arc::new(relief)), 0)
 }
 
 /// Computes the resampled value as the double sum of the definition, without tables.
@@ -68,7 +88,7 @@ fn tiles_give_the_same_bits_as_pixels_by_themselves() {
     let source = Source { codes, first: 0, size: (300, 90), scale: 1.0 / 257.0 };
     let perspective = Matrix3::new(1.002, 0.004, -3.2, -7e-5, 1.003, -2.4, -8e-6, 2e-5, 1.0);
     let horizon = Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, -0.01, 0.0, 1.0);
-    for transform in [
+    let transforms = [
         Transform::Rigid { dx: 3.3, dy: -2.7, angle: 0.0 },
         Transform::Rigid { dx: -0.4, dy: 1.6, angle: 0.002 },
         Transform::Rigid { dx: 9.0, dy: 4.0, angle: 0.2 },
@@ -76,13 +96,14 @@ fn tiles_give_the_same_bits_as_pixels_by_themselves() {
         Transform::Rigid { dx: 400.0, dy: 0.0, angle: 0.0 },
         Transform::Homography(perspective),
         Transform::Homography(horizon),
-    ] {
-        let h = transform.matrix(300, 90);
-        for (i, pixel) in whole(&f, &transform).iter().enumerate() {
-            let (u, v) = map(&h, (i % 300) as f64, (i / 300) as f64);
-            let is_inside = (0.0..=299.0).contains(&u) && (0.0..=89.0).contains(&v);
-            let expected = if is_inside { source.at(u, v) } else { [OUTSIDE; 3] };
-            assert_eq!(pixel.map(f32::to_bits), expected.map(f32::to_bits), "{transform:?} {i}");
+    ];
+    let motions = transforms.map(|transform| Motion::new(&transform, (300, 90)));
+    for motion in motions.into_iter().chain([bumpy(300, 90)]) {
+        for (i, pixel) in moved(&f, &motion).iter().enumerate() {
+            let at = motion.position((i % 300) as f64, (i / 300) as f64);
+            let at = at.filter(|(u, v)| (0.0..=299.0).contains(u) && (0.0..=89.0).contains(v));
+            let expected = at.map_or([OUTSIDE; 3], |(u, v)| source.at(u, v));
+            assert_eq!(pixel.map(f32::to_bits), expected.map(f32::to_bits), "{motion:?} {i}");
         }
     }
 }
@@ -128,18 +149,19 @@ fn the_rows_under_a_strip_are_enough() {
         Transform::Rigid { dx: 0.0, dy: 80.0, angle: -0.1 },
         Transform::Homography(perspective),
     ];
-    for transform in transforms {
-        let all = whole(&f, &transform);
+    let motions = transforms.map(|transform| Motion::new(&transform, (60, 90)));
+    for motion in motions.into_iter().chain([bumpy(60, 90)]) {
+        let all = moved(&f, &motion);
         for rows in [0..1, 5..21, 40..90] {
-            let under = rows_under(&transform, (60, 90), &(4..57), &rows);
-            assert!(transform != Transform::Identity || under == rows);
+            let under = rows_under(&motion, &(4..57), &rows);
+            assert!(!motion.is_identity() || under == rows);
             let mut part = vec![[0.0; 3]; 53 * rows.len()];
-            resample_rows(&f.window(under).unwrap(), &transform, 4..57, rows.clone(), &mut part);
+            resample_rows(&f.window(under).unwrap(), &motion, 4..57, rows.clone(), &mut part);
             for (line, y) in part.chunks_exact(53).zip(rows) {
                 assert_eq!(line, &all[60 * y + 4..60 * y + 57]);
             }
         }
     }
     let horizon = Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.1, 0.0, -2.0);
-    assert_eq!(rows_under(&Transform::Homography(horizon), (60, 90), &(0..60), &(3..4)), 0..90);
+    assert_eq!(rows_under(&Motion::new(&Transform::Homography(horizon), (60, 90)), &(0..60), &(3..4)), 0..90);
 }

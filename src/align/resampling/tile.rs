@@ -1,6 +1,6 @@
 //! Lanczos resampling of rows, tile by tile.
 //!
-//! In: the pixel values of some rows of a frame, and a transform. Out: pixel values as floats on the reference's grid.
+//! In: the pixel values of some rows of a frame, and its motion. Out: pixel values as floats on the reference's grid.
 //! Cost: see [`resampling`](crate::align::resampling).
 //!
 //! The kernel is applied vertically first: the sum over a column of six pixels is a column sum. Then it is applied
@@ -8,9 +8,11 @@
 //! of the frame, the border pixels are repeated. Neighbouring pixels of the output share column sums if they lie
 //! between the same two rows of the frame, at the same fraction between them (the phase).
 
+use crate::align::motion::Motion;
+use crate::align::motion::camera::Camera;
 use crate::align::resampling::OUTSIDE;
 use crate::align::resampling::lanczos::{BEFORE, TAPS, WEIGHTS, taps_at};
-use crate::align::transform::{Transform, map};
+use crate::align::transform::map;
 use crate::simd::{Loops, vectorised};
 use nalgebra::Matrix3;
 use std::cell::RefCell;
@@ -20,7 +22,8 @@ use std::ops::Range;
 const TILE: (usize, usize) = (136, 36);
 
 /// Largest number of columns and of rows of the frame under a tile. Tiles that need more are computed pixel by pixel:
-/// those of transforms that scale by more than about 4/3, or rotate by more than about 20 degrees.
+/// those of transforms that scale by more than about 4/3, or rotate by more than about 20 degrees, and those with
+/// distant depths.
 const WINDOW: (usize, usize) = (192, 96);
 
 /// Number of values that are summed together in a vector.
@@ -46,22 +49,15 @@ pub(super) struct Source<'a, T> {
 
 impl<T: Copy + Into<f32>> Source<'_, T> {
     /// See [`resample_rows`](crate::align::resampling::resample_rows).
-    pub(super) fn resample(
-        &self,
-        transform: &Transform,
-        columns: Range<usize>,
-        rows: Range<usize>,
-        out: &mut [[f32; 3]],
-    ) {
+    pub(super) fn resample(&self, motion: &Motion, columns: Range<usize>, rows: Range<usize>, out: &mut [[f32; 3]]) {
         let stride = columns.len();
-        if *transform == Transform::Identity {
+        if motion.is_identity() {
             for (y, line) in rows.zip(out.chunks_exact_mut(stride.max(1))) {
                 let codes = &self.row(y)[3 * columns.start..3 * columns.end];
                 vectorised(Copied { codes, scale: self.scale, line: line.as_flattened_mut() });
             }
             return;
         }
-        let h = &transform.matrix(self.size.0, self.size.1);
         SCRATCH.with_borrow_mut(|scratch| {
             for rows_here in parts(rows.clone(), TILE.1) {
                 for columns_here in parts(columns.clone(), TILE.0) {
@@ -69,7 +65,7 @@ impl<T: Copy + Into<f32>> Source<'_, T> {
                     let out = &mut out[from..];
                     vectorised(Tile {
                         source: self,
-                        h,
+                        motion,
                         columns: columns_here,
                         rows: rows_here.clone(),
                         out,
@@ -149,6 +145,8 @@ struct Scratch {
     sums: Vec<f32>,
     values: Box<[[f32; 4]; TILE.0]>,
     positions: Box<SamplePositions>,
+    /// Relative depths of the pixels of a row of the tile, and whether the frame shows them.
+    depths: Box<[(f32, bool); TILE.0]>,
 }
 
 /// For each pixel of a row of the tile: its position in the window (the part of the frame that was copied for the
@@ -174,14 +172,15 @@ impl Default for Scratch {
             sums: vec![0.0; TILE.0 * SUMS],
             values: Box::new([[0.0; 4]; TILE.0]),
             positions: Box::new(SamplePositions { left: none, across: none, down: none, is_inside: none, sums: none }),
+            depths: Box::new([(0.0, true); TILE.0]),
         }
     }
 }
 
-/// A tile of the reference to be computed; `h` maps its pixels into the frame.
+/// A tile of the reference to be computed.
 struct Tile<'a, 'b, T> {
     source: &'a Source<'b, T>,
-    h: &'a Matrix3<f64>,
+    motion: &'a Motion,
     columns: Range<usize>,
     rows: Range<usize>,
     /// The output, beginning at the tile's first pixel.
@@ -197,21 +196,28 @@ impl<T: Copy + Into<f32>> Loops for Tile<'_, '_, T> {
     #[inline(always)]
     fn run(self) {
         let last = (self.source.size.0 as f64 - 1.0, self.source.size.1 as f64 - 1.0);
-        let footprint = footprint(self.h, &self.columns, &self.rows, last);
+        let bounds = self.motion.bounds(&self.columns, &self.rows);
+        let footprint = footprint(&bounds, &self.columns, &self.rows, last);
         let width = self.columns.len();
         let lines = self.rows.zip(self.out.chunks_mut(self.stride).map(|line| &mut line[..width]));
         match footprint {
             Footprint::Outside => lines.for_each(|(_, line)| line.fill([OUTSIDE; 3])),
             Footprint::Window(across, down) => {
-                let Scratch { window, sums, values, positions } = self.scratch;
+                let Scratch { window, sums, values, positions, depths } = self.scratch;
                 fill(self.source, &across, &down, window);
-                let is_affine = self.h[(2, 0)] == 0.0 && self.h[(2, 1)] == 0.0 && self.h[(2, 2)] == 1.0;
+                let [h, _] = &bounds;
+                let is_affine = h[(2, 0)] == 0.0 && h[(2, 1)] == 0.0 && h[(2, 2)] == 1.0;
                 for (y, line) in lines {
                     let (first, origin) = ((self.columns.start, y), (across.start, down.start));
-                    if is_affine {
-                        positions.find::<true>(self.h, first, origin, last);
+                    if let Some((relief, view)) = self.motion.relief() {
+                        for (x, depth) in self.columns.clone().zip(depths.iter_mut()) {
+                            *depth = relief.at(view, x as f32, y as f32);
+                        }
+                        positions.find_at_depths(&view.camera, depths, first, origin, last);
+                    } else if is_affine {
+                        positions.find::<true>(h, first, origin, last);
                     } else {
-                        positions.find::<false>(self.h, first, origin, last);
+                        positions.find::<false>(h, first, origin, last);
                     }
                     positions.sum(window, sums, width);
                     positions.across(sums, self.source.scale, values, line);
@@ -220,10 +226,8 @@ impl<T: Copy + Into<f32>> Loops for Tile<'_, '_, T> {
             Footprint::TooLarge => {
                 for (y, line) in lines {
                     for (x, pixel) in self.columns.clone().zip(line) {
-                        let (u, v) = map(self.h, x as f64, y as f64);
-                        // The comparisons are false for NaN.
-                        let is_inside = u >= 0.0 && v >= 0.0 && u <= last.0 && v <= last.1;
-                        *pixel = if is_inside { self.source.at(u, v) } else { [OUTSIDE; 3] };
+                        let at = self.motion.inside(x as f64, y as f64);
+                        *pixel = at.map_or([OUTSIDE; 3], |(u, v)| self.source.at(u, v));
                     }
                 }
             }
@@ -242,10 +246,11 @@ enum Footprint {
 }
 
 #[inline(always)]
-fn footprint(h: &Matrix3<f64>, columns: &Range<usize>, rows: &Range<usize>, last: (f64, f64)) -> Footprint {
+fn footprint(bounds: &[Matrix3<f64>], columns: &Range<usize>, rows: &Range<usize>, last: (f64, f64)) -> Footprint {
     let (mut us, mut vs) = ((f64::INFINITY, f64::NEG_INFINITY), (f64::INFINITY, f64::NEG_INFINITY));
-    for x in [columns.start as f64, (columns.end - 1) as f64] {
-        for y in [rows.start as f64, (rows.end - 1) as f64] {
+    let corners = [columns.start, columns.end - 1].map(|x| [rows.start, rows.end - 1].map(|y| (x as f64, y as f64)));
+    for &(x, y) in corners.as_flattened() {
+        for h in bounds {
             // If all four corners are in front of the horizon (w > 0), the frame under the tile is within the bounding
             // box of the mapped corners.
             let is_before = h[(2, 0)] * x + h[(2, 1)] * y + h[(2, 2)] > 0.0;
@@ -319,13 +324,35 @@ impl SamplePositions {
                 let w = p * x + q + r;
                 (u, v) = (u / w, v / w);
             }
-            self.is_inside[i] =
-                u32::from(u >= 0.0) & u32::from(v >= 0.0) & u32::from(u <= last.0) & u32::from(v <= last.1);
-            let ((left, across), (top, down)) = (taps_at(u, last.0), taps_at(v, last.1));
-            self.left[i] = (left - origin.0) as u32;
-            self.across[i] = across as u32;
-            self.down[i] = ((top - origin.1) << 16 | down) as u32;
+            self.set(i, (u, v), origin, last);
         }
+    }
+
+    /// Like [`find`](Self::find), for pixels with these relative `depths`, which are shown or hidden.
+    #[inline(always)]
+    fn find_at_depths(
+        &mut self,
+        camera: &Camera,
+        depths: &[(f32, bool); TILE.0],
+        first: (usize, usize),
+        origin: (i32, i32),
+        last: (f64, f64),
+    ) {
+        for (i, &(depth, is_shown)) in depths.iter().enumerate() {
+            let (x, y) = ((first.0 + i) as f64, first.1 as f64);
+            self.set(i, camera.position(x, y, f64::from(depth)), origin, last);
+            self.is_inside[i] &= u32::from(is_shown);
+        }
+    }
+
+    /// Sets the position of pixel `i` of the row to `at`.
+    #[inline(always)]
+    fn set(&mut self, i: usize, (u, v): (f64, f64), origin: (i32, i32), last: (f64, f64)) {
+        self.is_inside[i] = u32::from(u >= 0.0) & u32::from(v >= 0.0) & u32::from(u <= last.0) & u32::from(v <= last.1);
+        let ((left, across), (top, down)) = (taps_at(u, last.0), taps_at(v, last.1));
+        self.left[i] = (left - origin.0) as u32;
+        self.across[i] = across as u32;
+        self.down[i] = ((top - origin.1) << 16 | down) as u32;
     }
 
     /// Computes the column sums of the first `count` pixels of the row.

@@ -11,8 +11,10 @@ pub(crate) mod warnings;
 pub use overlap::Rect;
 pub use placement::{Displaced, Estimate, Placement, RejectedBy, Status};
 
+use crate::align::motion::{Motion, Relief};
 use crate::align::transform::Transform;
 use crate::bracket::{Bracket, Frame};
+use std::sync::Arc;
 
 /// Numbers of keypoints found in a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
@@ -43,19 +45,32 @@ pub struct Alignment {
     pub features: Vec<FeatureCounts>,
     /// The largest rectangle of the reference that all placed frames cover.
     pub overlap: Rect,
+    /// The depth of the scene; none if one homography for each frame suffices, or if it was not measured.
+    pub relief: Option<Arc<Relief>>,
 }
 
 impl Alignment {
     /// An alignment with every frame of `bracket` unmoved, for a rigid tripod. The pixels are not examined.
     pub fn unmoved(bracket: &Bracket) -> Self {
         let (placements, features) = unmoved_but(bracket, &vec![None; bracket.frames().len()]);
-        Alignment { placements, features, overlap: Rect { x0: 0, y0: 0, x1: bracket.width(), y1: bracket.height() } }
+        let overlap = Rect { x0: 0, y0: 0, x1: bracket.width(), y1: bracket.height() };
+        Alignment { placements, features, overlap, relief: None }
     }
 
-    /// The frames of `bracket` that are merged: the index of each, the frame, and its transform.
-    pub fn placed<'a>(&self, bracket: &'a Bracket) -> impl Iterator<Item = (usize, &'a Frame, Transform)> {
-        let all = bracket.frames().iter().zip(&self.placements).enumerate();
-        all.filter_map(|(i, (frame, placement))| Some((i, frame, placement.transform()?)))
+    /// The frames of `bracket` that are merged: the index of each, the frame, and its motion.
+    pub fn placed<'a>(&self, bracket: &'a Bracket) -> impl Iterator<Item = (usize, &'a Frame, Motion)> {
+        bracket.frames().iter().enumerate().filter_map(|(i, frame)| Some((i, frame, self.motion(bracket, i)?)))
+    }
+
+    /// Whether each pixel of frame `i` is aligned at its own depth.
+    pub fn is_at_depth(&self, i: usize) -> bool {
+        self.relief.as_ref().is_some_and(|relief| relief.view(i).is_some())
+    }
+
+    /// The motion of frame `i` of `bracket`; none for a rejected frame.
+    pub fn motion(&self, bracket: &Bracket, i: usize) -> Option<Motion> {
+        let motion = Motion::new(&self.placements[i].transform()?, (bracket.width(), bracket.height()));
+        Some(motion.with_relief(self.relief.as_ref(), i))
     }
 }
 

@@ -1,6 +1,6 @@
 //! The overlap: the largest rectangle of the reference that all aligned frames cover.
 //!
-//! In: transforms. Out: a [`Rect`], or none. Cost: the edges of all frames are evaluated some 15,000 times.
+//! In: homographies. Out: a [`Rect`], or none. Cost: the edges of all frames are evaluated some 15,000 times.
 //!
 //! A homography keeps the four edges of a frame straight, so the frame covers the intersection of four half-planes.
 //! Once the left and right sides of the rectangle are chosen, the best upper and lower sides follow directly. The
@@ -8,8 +8,7 @@
 //! maximum. If the height is negative, the search uses the height instead of the area. The height is concave, too, and
 //! leads the search back to positive heights. Vertical edges limit the range of columns that is searched.
 
-use crate::align::transform::Transform;
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 /// A rectangle of pixels: columns `x0..x1`, rows `y0..y1` of the reference.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
@@ -38,16 +37,15 @@ impl Rect {
 
 /// The largest rectangle of a `width` x `height` reference whose pixel centres are inside all frames; none where the
 /// frames have no pixel in common.
-pub(crate) fn largest(transforms: &[Transform], width: usize, height: usize) -> Option<Rect> {
+pub(crate) fn largest(homographies: &[Matrix3<f64>], width: usize, height: usize) -> Option<Rect> {
     let (right, bottom) = (width as f64 - 1.0, height as f64 - 1.0);
     // Each edge of a frame is a vector n; a pixel (x, y) is on its inner side if n . (x, y, 1) >= 0. The four edges are
     // u >= 0, v >= 0, u <= right and v <= bottom, where (u, v) is the frame's pixel; each is multiplied by the third
     // homogeneous coordinate, which is positive.
-    let (upright, sloping): (Vec<_>, Vec<_>) = transforms
+    let (upright, sloping): (Vec<_>, Vec<_>) = homographies
         .iter()
-        .filter(|w| **w != Transform::Identity)
-        .flat_map(|w| {
-            let h = w.matrix(width, height);
+        .filter(|h| **h != Matrix3::identity())
+        .flat_map(|h| {
             let row = |i: usize| Vector3::new(h[(i, 0)], h[(i, 1)], h[(i, 2)]);
             [row(0), row(1), right * row(2) - row(0), bottom * row(2) - row(1)]
         })
@@ -122,8 +120,12 @@ fn top_of(f: impl Fn(f64) -> f64, mut low: f64, mut high: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::align::transform::map;
-    use nalgebra::Matrix3;
+    use crate::align::transform::{Transform, map};
+
+    fn largest(transforms: &[Transform], width: usize, height: usize) -> Option<Rect> {
+        let homographies: Vec<Matrix3<f64>> = transforms.iter().map(|w| w.matrix(width, height)).collect();
+        super::largest(&homographies, width, height)
+    }
 
     /// Tries every rectangle with sides on a grid of `step` pixels, and returns the largest area that all frames cover.
     fn by_trial(transforms: &[Transform], width: usize, height: usize, step: usize) -> usize {

@@ -3,10 +3,12 @@
 //! In: a bracket and the placement of each frame. Out: [`Warning`]s, and the largest rectangle that all aligned frames
 //! cover. Cost: the [overlap](overlap::largest).
 
+use crate::align::motion::Motion;
 use crate::align::result::{Displaced, Estimate, Placement, Rect, RejectedBy, overlap};
 use crate::align::transform::Transform;
 use crate::bracket::Bracket;
 use crate::error::{Error, Result, Warning};
+use nalgebra::Matrix3;
 
 /// A frame with less confidence than this, 0..=1, gets a warning.
 const LOW_CONFIDENCE: f64 = 0.5;
@@ -61,18 +63,18 @@ pub(crate) fn of_frames(bracket: &Bracket, placements: &[Placement]) -> Vec<Warn
 }
 
 /// Returns the largest rectangle of the reference that all placed frames cover, and a warning if it is small.
-pub(crate) fn common_overlap(bracket: &Bracket, placements: &[Placement]) -> Result<(Rect, Option<Warning>)> {
+pub(crate) fn common_overlap(bracket: &Bracket, motions: &[(usize, Motion)]) -> Result<(Rect, Option<Warning>)> {
     let (width, height) = (bracket.width(), bracket.height());
-    let placed: Vec<(usize, Transform)> =
-        placements.iter().enumerate().filter_map(|(i, p)| Some((i, p.transform()?))).collect();
-    let transforms: Vec<Transform> = placed.iter().map(|&(_, transform)| transform).collect();
-    let common = overlap::largest(&transforms, width, height);
+    // A frame covers a pixel at any depth if it covers it at the lowest and at the highest depth, because the edges of
+    // the frame are straight.
+    let placed: Vec<(usize, [Matrix3<f64>; 2])> = motions.iter().map(|(i, motion)| (*i, motion.extremes())).collect();
+    let common = overlap::largest(&placed.iter().flat_map(|p| p.1).collect::<Vec<_>>(), width, height);
     let share = |rect: Rect| (rect.width() * rect.height()) as f64 / (width * height) as f64;
     // The frame whose largest rectangle covers the smallest share of the reference (the first, if several do), and this
     // share.
     let least = || {
         let shares =
-            placed.iter().map(|&(i, transform)| (i, overlap::largest(&[transform], width, height).map_or(0.0, share)));
+            placed.iter().map(|(i, extremes)| (*i, overlap::largest(extremes, width, height).map_or(0.0, share)));
         let (i, share) =
             shares.reduce(|least, other| if other.1 < least.1 { other } else { least }).unwrap_or_default();
         (bracket.frames()[i].path().to_path_buf(), share)

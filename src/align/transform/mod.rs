@@ -122,7 +122,7 @@ pub fn level_to_full(level: usize) -> Matrix3<f64> {
 }
 
 /// Returns the matrix that maps a pixel of the full size to a pixel of `level`.
-fn full_to_level(level: usize) -> Matrix3<f64> {
+pub fn full_to_level(level: usize) -> Matrix3<f64> {
     let scale = (1u64 << level) as f64;
     let offset = (1.0 - scale) / (2.0 * scale);
     Matrix3::new(1.0 / scale, 0.0, offset, 0.0, 1.0 / scale, offset, 0.0, 0.0, 1.0)

@@ -7,7 +7,7 @@ use clap::Args;
 use clap::builder::{PathBufValueParser, TypedValueParser};
 use hdralign::align::bitmaps::MtbOptions;
 use hdralign::align::preset::{Preset, PresetTransform};
-use hdralign::align::{AlignMode, AlignOptions, RobustMethod};
+use hdralign::align::{AlignMode, AlignOptions, Local, RobustMethod};
 use hdralign::bracket::{LoadOptions, ReferenceChoice};
 use hdralign::limits::Limits;
 use hdralign::pipeline::{Crop, Options};
@@ -28,6 +28,10 @@ pub struct Method {
     /// Set the alignment method; auto tries several and checks the results
     #[arg(long, help_heading = ALIGNMENT, value_parser = choice::<AlignMode>(), default_value_t, value_name = "METHOD")]
     align: AlignMode,
+
+    /// Align near and far things separately if the camera moved between them (parallax); with --align auto
+    #[arg(long, help_heading = ALIGNMENT, hide_short_help = true, value_parser = choice::<Local>(), default_value_t, value_name = "WHEN")]
+    local: Local,
 
     /// Set the largest rotation that auto and mtb try with bitmaps, in degrees, clockwise and counterclockwise
     #[arg(long, help_heading = ALIGNMENT, hide_short_help = true, value_name = "DEG", default_value_t = MtbOptions::default().max_rotation_deg, allow_negative_numbers = true)]
@@ -231,6 +235,7 @@ impl Method {
             load: LoadOptions { ev: self.ev.clone(), ..LoadOptions::default() },
             align: AlignOptions {
                 mode: self.align,
+                local: self.local,
                 robust: self.robust,
                 mtb: MtbOptions { max_rotation_deg: self.max_rotation, ..MtbOptions::default() },
                 ..AlignOptions::default()

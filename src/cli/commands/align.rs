@@ -30,8 +30,8 @@ pub struct Args {
     /// per pixel; the file names are PREFIX followed by the name of the photograph
     ///
     /// The floats are dx and dy in pixels: a detail at (x, y) in the reference is at (x + dx, y + dy) in the photograph.
-    /// They are NaN where that is outside of the photograph. The displacements follow near and far things, unless
-    /// things in the scene moved by themselves
+    /// They are NaN where the photograph does not show the detail: outside of it, and behind something nearer. See
+    /// --local
     #[arg(long, help_heading = OUTPUT, value_name = "PREFIX")]
     displacements: Option<PathBuf>,
 

@@ -361,6 +361,7 @@ impl Args {
             },
             normalisation,
             options,
+            follows: acting.follows(),
             seeks_ghosts: acting.deghost.is_on(),
             fuses: matches!(acting.rendering, hdralign::tonemap::Rendering::Fused(_)),
         })

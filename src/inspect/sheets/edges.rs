@@ -4,20 +4,18 @@
 //! are comparable, because they are computed from the logarithm of the grey values and divided by the strength of the
 //! strongest edges.
 
-use crate::align::Transform;
-use crate::align::transform::map;
-use crate::bracket::Frame;
+use crate::align::Motion;
 use crate::plane::Plane;
 use crate::pyramid::gaussian;
 use crate::statistics::of_rank;
 
 /// Resamples `small`, a frame at reduced size, to the pixel grid of the reference frame at the same reduced size.
-pub(super) fn laid(small: &Plane<u8>, warp: &Transform, reference: &Frame) -> Grey {
+pub(super) fn laid(small: &Plane<u8>, motion: &Motion) -> Grey {
     let (width, height) = (small.width(), small.height());
-    let h = warp.matrix(reference.width(), reference.height());
-    let (sx, sy) = (reference.width() as f64 / width as f64, reference.height() as f64 / height as f64);
+    let (full_width, full_height) = motion.size();
+    let (sx, sy) = (full_width as f64 / width as f64, full_height as f64 / height as f64);
     let place = |x: usize, y: usize| {
-        let (u, v) = map(&h, (x as f64 + 0.5) * sx - 0.5, (y as f64 + 0.5) * sy - 0.5);
+        let (u, v) = motion.position((x as f64 + 0.5) * sx - 0.5, (y as f64 + 0.5) * sy - 0.5)?;
         let (u, v) = ((u + 0.5) / sx - 0.5, (v + 0.5) / sy - 0.5);
         let inside = u >= 0.0 && v >= 0.0 && u <= width as f64 - 1.0 && v <= height as f64 - 1.0;
         inside.then_some((u, v))
@@ -117,6 +115,7 @@ impl Grey {
 mod tests {
     use super::super::views::LEAST_FULL;
     use super::*;
+    use crate::align::Transform;
     use crate::align::scene::{Scene, Shot, rigid};
 
     fn mean_min(a: &Plane<u8>, b: &Plane<u8>) -> f64 {
@@ -130,10 +129,7 @@ mod tests {
         let reference =
             Grey::whole(scene.photograph(size, &Transform::Identity, Shot::at(0.0))).edges(LEAST_FULL).strength;
         let grey = scene.photograph(size, &truth, Shot::at(-2.0));
-        let samples = crate::bracket::Samples::Eight(vec![0; 3 * size.0 * size.1]);
-        let exposure = crate::bracket::exposure::Exposure::given(0.0).unwrap();
-        let frame = Frame::new("x".into(), size.0, size.1, samples, exposure);
-        let after = laid(&grey, &truth, &frame).edges(LEAST_FULL).strength;
+        let after = laid(&grey, &Motion::new(&truth, size)).edges(LEAST_FULL).strength;
         // The border of the frame must not count as an edge. Because the frame is shifted by 14 px and rotated by 1
         // deg, this border is in columns 343 to 347.
         assert!((0..size.1).all(|y| after.row(y)[345..].iter().all(|v| *v == 0)));

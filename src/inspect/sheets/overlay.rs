@@ -42,7 +42,7 @@ pub(in crate::inspect) fn of(couple: &Couple, most: usize) -> Result<Overlay, St
         }
         Ok(sheet)
     };
-    let after = couple.warp.map(|_| picture(1)).transpose()?;
+    let after = couple.motion.as_ref().map(|_| picture(1)).transpose()?;
     Ok(Overlay { before: picture(0)?, after, whole_rows: height })
 }
 
@@ -87,8 +87,8 @@ fn frame_place(sheet: &mut Plane<[u8; 3]>, place: &Detail, size: (usize, usize),
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::align::Transform;
     use crate::align::scene::{Scene, Shot, rigid};
+    use crate::align::{Motion, Transform};
     use crate::bracket::exposure::Exposure;
     use crate::bracket::{Frame, Samples};
 
@@ -106,14 +106,14 @@ mod tests {
             Frame::new("x".into(), size.0, size.1, Samples::Eight(codes), Exposure::given(0.0).unwrap())
         };
         let frames = [frame(&greys[0]), frame(&greys[1])];
-        let couple = |warp| Couple {
+        let couple = |motion| Couple {
             reference: &frames[0],
             frame: &frames[1],
             reference_grey: &greys[0],
             frame_grey: &greys[1],
-            warp,
+            motion,
         };
-        let overlay = of(&couple(Some(truth)), 450).unwrap();
+        let overlay = of(&couple(Some(Motion::new(&truth, size))), 450).unwrap();
         let after = overlay.after.unwrap();
         assert_eq!((after.width(), overlay.whole_rows), (450, 300));
         assert_eq!((after.width(), after.height()), (overlay.before.width(), overlay.before.height()));

@@ -7,7 +7,7 @@
 
 use super::edges::{Edges, Grey, laid};
 use super::layout::{Entry, Mark, Page, TEXT};
-use crate::align::Transform;
+use crate::align::Motion;
 use crate::align::resampling::{OUTSIDE, resample_rows, rows_under};
 use crate::bracket::Frame;
 use crate::draw::image::png_rgb;
@@ -45,14 +45,14 @@ pub(super) const LEAST_FULL: f32 = 0.05;
 /// the gradient that has full strength in the view of the whole picture.
 const FAINT_DETAIL: f32 = 0.6;
 
-/// The reference frame and another frame, with the transform between them.
+/// The reference frame and another frame, with the motion between them.
 pub(in crate::inspect) struct Couple<'a> {
     pub(in crate::inspect) reference: &'a Frame,
     pub(in crate::inspect) frame: &'a Frame,
     pub(in crate::inspect) reference_grey: &'a Plane<u8>,
     pub(in crate::inspect) frame_grey: &'a Plane<u8>,
-    /// Maps pixels of the reference frame to pixels of the other frame; `None` if that frame is rejected or excluded.
-    pub(in crate::inspect) warp: Option<Transform>,
+    /// The motion of the other frame; `None` if that frame is rejected or excluded.
+    pub(in crate::inspect) motion: Option<Motion>,
 }
 
 /// The edges of a [`Couple`] before and after alignment.
@@ -60,8 +60,8 @@ pub(super) struct Views<'a> {
     couple: &'a Couple<'a>,
     pub(super) reference: Edges,
     /// The edges of the frame before alignment and, unless it is rejected or excluded, after alignment. Each element
-    /// also contains the transform with which the frame was resampled.
-    pub(super) frame: Vec<(Transform, Edges)>,
+    /// also contains the motion with which the frame was resampled.
+    pub(super) frame: Vec<(Motion, Edges)>,
     /// Width and height of the whole picture on the page, in pixels of the page.
     pub(super) size: (f64, f64),
     /// The areas that are also drawn magnified.
@@ -78,8 +78,9 @@ impl<'a> Views<'a> {
         let size = (whole.width() as f64 * times, whole.height() as f64 * times);
         let reference = Grey::whole(whole).edges(LEAST_FULL);
         let moving = reduce(couple.frame_grey, most);
-        let after = couple.warp.map(|warp| (warp, laid(&moving, &warp, couple.reference).edges(LEAST_FULL)));
-        let before = (Transform::Identity, Grey::whole(moving).edges(LEAST_FULL));
+        let edges = |motion: &Motion| laid(&moving, motion).edges(LEAST_FULL);
+        let after = couple.motion.as_ref().map(|motion| (motion.clone(), edges(motion)));
+        let before = (still(couple.reference), Grey::whole(moving).edges(LEAST_FULL));
         let frame: Vec<_> = [Some(before), after].into_iter().flatten().collect();
         let last = frame.last().map(|(_, edges)| &edges.strength);
         let details = last.map_or_else(Vec::new, |last| details(&reference.strength, last, size, couple));
@@ -89,12 +90,17 @@ impl<'a> Views<'a> {
     /// Returns the strengths of the edges in `detail`: first for the reference frame, then for the other frame in view
     /// `k` (0 is before alignment, 1 is after).
     pub(super) fn strengths(&self, detail: &Detail, k: usize) -> Result<[Plane<u8>; 2], String> {
-        let (warp, view) = &self.frame[k];
-        let still = detail.grey(self.couple.reference, &Transform::Identity)?;
-        let moved = detail.grey(self.couple.frame, warp)?;
+        let (motion, view) = &self.frame[k];
+        let still = detail.grey(self.couple.reference, &still(self.couple.reference))?;
+        let moved = detail.grey(self.couple.frame, motion)?;
         let ends = [(still, self.reference.full), (moved, view.full)];
         Ok(ends.map(|(grey, full)| grey.edges(FAINT_DETAIL * full).strength))
     }
+}
+
+/// The motion of a frame that is not aligned.
+fn still(frame: &Frame) -> Motion {
+    Motion::none((frame.width(), frame.height()))
 }
 
 /// Draws the edges of the two frames in `couple`, before and after alignment.
@@ -113,7 +119,7 @@ pub(in crate::inspect) fn draw(title: &str, couple: &Couple) -> Result<Drawing, 
     if !boxes.is_empty() {
         notes += &format!(" Below: the marked areas, enlarged: {MAGNIFIED} px for each pixel of the photograph.");
     }
-    if couple.warp.is_none() {
+    if couple.motion.is_none() {
         notes += " The frame is rejected or excluded, so there is no view after alignment.";
     }
     let mut page = Page::new(title, &legend, room, &notes);
@@ -154,12 +160,12 @@ impl Detail {
     }
 
     /// Returns the grey values of `frame` in this area, resampled with the method of the merge.
-    fn grey(&self, frame: &Frame, warp: &Transform) -> Result<Grey, String> {
+    fn grey(&self, frame: &Frame, motion: &Motion) -> Result<Grey, String> {
         let (columns, rows) = (self.x..self.x + self.width, self.y..self.y + self.height);
         let mut codes = vec![[0.0f32; 3]; self.width * self.height];
-        let under = rows_under(warp, (frame.width(), frame.height()), &columns, &rows);
+        let under = rows_under(motion, &columns, &rows);
         let window = frame.window(under).map_err(|e| e.to_string())?;
-        resample_rows(&window, warp, columns, rows, &mut codes);
+        resample_rows(&window, motion, columns, rows, &mut codes);
         let grey = |p: &[f32; 3]| ((54.0 * p[0] + 183.0 * p[1] + 19.0 * p[2]) / 256.0).clamp(0.0, 255.0) as u8;
         let outside: Vec<bool> = codes.iter().map(|p| p[0] == OUTSIDE).collect();
         let levels = codes.iter().map(grey).collect();

@@ -1,6 +1,6 @@
 //! Cells: the radiance of a frame on a coarse grid of the reference frame.
 //!
-//! In: a frame, its transform and the response. Out: the mean radiance of each cell and channel, and whether it is only
+//! In: a frame, its motion and the response. Out: the mean radiance of each cell and channel, and whether it is only
 //! a bound. Cost: one bilinear sample, which reads four pixels, for every block of 2 x 2 pixels, but at most four for
 //! each cell.
 //!
@@ -8,8 +8,7 @@
 //! in every frame. In a cell with a clipped code value the mean is a lower bound of the radiance; in a cell with a
 //! black one it is an upper bound.
 
-use super::{CODES, Layer, Plane, Rect, ResponseCurve, Transform};
-use crate::align::transform::map;
+use super::{CODES, Layer, Plane, Rect, ResponseCurve};
 use crate::bracket::Codes;
 use crate::error::Result;
 
@@ -72,7 +71,7 @@ fn noise(radiance: &[f32; CODES]) -> Vec<f32> {
 pub struct Cell {
     /// Radiance.
     pub radiance: [f32; 3],
-    /// Bits 0 to 2: the channel is clipped; bits 3 to 5: the channel is black; bit 6: the frame does not cover the
+    /// Bits 0 to 2: the channel is clipped; bits 3 to 5: the channel is black; bit 6: the frame does not show the
     /// cell.
     flags: u8,
     /// Index of the frame among the merged frames.
@@ -80,7 +79,7 @@ pub struct Cell {
 }
 
 impl Cell {
-    /// Whether the frame does not cover the cell.
+    /// Whether the frame does not show the cell.
     pub fn is_outside(&self) -> bool {
         self.flags & OUTSIDE != 0
     }
@@ -163,11 +162,8 @@ fn averaged<T: Copy + Sync>(
     side: usize,
     number: u16,
 ) -> Plane<Cell> {
-    let Layer { frame, warp, meaning, .. } = layer;
+    let Layer { frame, motion, meaning, .. } = layer;
     let (width, height) = (frame.width(), frame.height());
-    let (right, bottom) = ((width - 1) as f64, (height - 1) as f64);
-    let h = warp.matrix(width, height);
-    let still = *warp == Transform::Identity;
     let blocks = blocks(side);
     let share = 1.0 / blocks.len() as f32;
     Plane::from_rows(region.width().div_ceil(side), region.height().div_ceil(side), |j, row| {
@@ -178,12 +174,10 @@ fn averaged<T: Copy + Sync>(
             for (a, b) in &blocks {
                 let x = ((region.x0 + side * i + a) as f64 + 0.5).min((region.x1 - 1) as f64);
                 let y = ((region.y0 + side * j + b) as f64 + 0.5).min((region.y1 - 1) as f64);
-                let (u, v) = if still { (x, y) } else { map(&h, x, y) };
-                // The condition is negated so that NaN counts as outside.
-                if !(u >= 0.0 && v >= 0.0 && u <= right && v <= bottom) {
+                let Some((u, v)) = motion.inside(x, y) else {
                     flags |= OUTSIDE;
                     break;
-                }
+                };
                 let (left, top) = (u as usize, v as usize);
                 let (fx, fy) = ((u - left as f64) as f32, (v - top as f64) as f32);
                 let (next, under) = ((left + 1).min(width - 1), (top + 1).min(height - 1));

@@ -35,7 +35,7 @@ mod region;
 mod structure;
 mod usual;
 
-use crate::align::{Alignment, Placement, Rect, Transform};
+use crate::align::{Alignment, Motion, Placement, Rect};
 use crate::bracket::{Bracket, Frame};
 use crate::budget::Demand;
 use crate::error::{Error, Result};
@@ -142,7 +142,7 @@ fn limits(strength: f64) -> (f32, f32) {
 /// A frame to compare.
 pub(super) struct Layer<'a> {
     pub(super) frame: &'a Frame,
-    warp: Transform,
+    motion: Motion,
     pub(super) meaning: Meaning,
     /// Whether the frame's transform is [assumed](Placement::Assumed). Such a frame only fills what is clipped or black
     /// in all other frames, so it is not compared.
@@ -156,9 +156,9 @@ pub(super) fn layers<'a>(
     curve: &ResponseCurve,
 ) -> (Vec<Layer<'a>>, usize) {
     let unit = bracket.reference().exposure.relative();
-    let layer = |(index, frame, warp): (usize, &'a Frame, Transform)| Layer {
+    let layer = |(index, frame, motion): (usize, &'a Frame, Motion)| Layer {
         frame,
-        warp,
+        motion,
         meaning: Meaning::of(curve, frame.exposure.relative() / unit),
         is_assumed: matches!(alignment.placements[index], Placement::Assumed(_)),
     };

@@ -312,9 +312,9 @@ fn cells_are_the_means_of_exposures() {
     for samples in [Samples::Eight(codes.clone()), Samples::Sixteen(deep)] {
         let frame = Frame::new("a".into(), width, height, samples, Exposure::given(0.0).unwrap());
         for side in [2, 4] {
-            let seen = |warp| {
-                let meaning = Meaning::of(&curve, 0.5);
-                cells::average(&Layer { frame: &frame, warp, meaning, is_assumed: false }, region, side, 0).unwrap()
+            let seen = |transform| {
+                let (motion, meaning) = (Motion::new(&transform, (width, height)), Meaning::of(&curve, 0.5));
+                cells::average(&Layer { frame: &frame, motion, meaning, is_assumed: false }, region, side, 0).unwrap()
             };
             let cells = seen(Transform::Identity);
             // A shift by 0 pixels, which uses other code, gives the same cells.
@@ -367,7 +367,7 @@ fn of_large_cells_a_quarter_is_looked_at() {
     let frame = Frame::new("a".into(), 8, 8, Samples::Eight(codes), Exposure::given(0.0).unwrap());
     let curve = ResponseCurve::srgb();
     let layer =
-        Layer { frame: &frame, warp: Transform::Identity, meaning: Meaning::of(&curve, 1.0), is_assumed: false };
+        Layer { frame: &frame, motion: Motion::none((8, 8)), meaning: Meaning::of(&curve, 1.0), is_assumed: false };
     let cell = cells::average(&layer, Rect { x0: 0, y0: 0, x1: 8, y1: 8 }, 8, 0).unwrap().at(0, 0);
     // Four blocks of 2x2 pixels are read; one of their 16 pixels is clipped.
     let mean = (15.0 * curve.exposure(0, 100.0) + curve.exposure(0, 255.0)) / 16.0;

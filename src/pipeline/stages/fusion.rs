@@ -4,7 +4,7 @@
 //! each frame twice. If something moved, resampling a frame includes resampling the reference and all frames between
 //! the frame and the reference.
 
-use crate::align::Transform;
+use crate::align::Motion;
 use crate::align::resampling::{OUTSIDE, resample_rows, rows_under};
 use crate::bracket::Frame;
 use crate::bracket::colour::{Conversion, Transfer};
@@ -80,12 +80,12 @@ impl Fused<'_> {
     /// enough: the coarse levels of the pyramids would spread the moving object beyond its borders.
     fn rows(&self, k: usize, rows: Range<usize>) -> Result<Vec<[f32; 3]>> {
         let (Fused { aligned, placed, .. }, region) = (self, self.aligned.region);
-        let (_, frame, warp) = &placed[k];
+        let (_, frame, motion) = &placed[k];
         let columns = region.x0..region.x1;
         let lines = region.y0 + rows.start..region.y0 + rows.end;
-        let window = frame.window(rows_under(warp, (frame.width(), frame.height()), &columns, &lines))?;
+        let window = frame.window(rows_under(motion, &columns, &lines))?;
         let mut codes = vec![[0.0f32; 3]; columns.len() * lines.len()];
-        resample_rows(&window, warp, columns, lines, &mut codes);
+        resample_rows(&window, motion, columns, lines, &mut codes);
         for code in &mut codes {
             // A negative code marks a pixel outside of the frame. So codes below 0 from the overshoot of the
             // resampling kernel are clamped to 0.
@@ -117,8 +117,8 @@ impl Fused<'_> {
     }
 }
 
-/// A merged frame: its index in the bracket, the frame, and its transform.
-type Placed<'a> = (usize, &'a Frame, Transform);
+/// A merged frame: its index in the bracket, the frame, and its motion.
+type Placed<'a> = (usize, &'a Frame, Motion);
 
 /// Converts codes of a frame to codes of the picture, both 0 to 1, because the quality measures of fusion are defined
 /// for displayed colours.

@@ -11,7 +11,6 @@ pub(crate) mod response;
 pub(crate) mod results;
 
 use super::{Options, Prepared, Progress, Stage, Watch, announce};
-use crate::align::motions;
 use crate::align::transforms_file::SavedAlignment;
 use crate::bracket::{self, Bracket, Capture, Frame};
 use crate::budget::Stages;
@@ -199,7 +198,7 @@ impl<'a> Run<'a> {
             files.extend(aligned::write(bracket, alignment, *region, prefix, metadata)?);
         }
         if let Some(prefix) = &self.options.displacements {
-            files.extend(displacements::write(bracket, &motions(bracket, alignment)?, prefix, metadata)?);
+            files.extend(displacements::write(bracket, alignment, prefix, metadata)?);
         }
         self.times.write = Some(began.elapsed().as_secs_f64());
         Ok(files)

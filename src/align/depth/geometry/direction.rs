@@ -1,12 +1,12 @@
 //! The direction in which depth displaces the patches of one frame: the start of the joint fit.
 //!
-//! In: the [`Sight`]s of a frame. Out: a [`Start`]: a direction, and a homography that explains the displacements
-//! across this direction. Cost: some thousand multiply-adds per sight. Source: with small motions, all displacements by
-//! depth have nearly the same direction, and the displacements across it are those of a homography. All directions are
-//! tried; least absolute errors by iteratively reweighted least squares.
+//! In: the [`Observation`]s of a frame. Out: a [`Start`]: a direction, and a homography that explains the displacements
+//! across this direction. Cost: some thousand multiply-adds per observation. Source: with small motions, all
+//! displacements by depth have nearly the same direction, and the displacements across it are those of a homography.
+//! All directions are tried; least absolute errors by iteratively reweighted least squares.
 
-use crate::align::depth::camera::{CameraMotion, EXPECTED_PX, PARAMETERS};
-use crate::align::depth::sights::Sight;
+use crate::align::depth::geometry::camera_motion::{CameraMotion, EXPECTED_PX, PARAMETERS};
+use crate::align::depth::geometry::observations::Observation;
 use nalgebra::{SMatrix, SVector, Vector2};
 use std::f64::consts::PI;
 
@@ -14,7 +14,7 @@ use std::f64::consts::PI;
 const DIRECTIONS: usize = 36;
 /// Number of rounds in which weights are computed again: for the homography, and for each direction.
 const ROUNDS: (usize, usize) = (10, 6);
-/// Strength of the pull towards the homography without depth, per sight. Along the direction of depth, it alone
+/// Strength of the pull towards the homography without depth, per observation. Along the direction of depth, it alone
 /// determines the homography.
 const HOLD: f64 = 1e-3;
 
@@ -41,15 +41,15 @@ impl Start {
     }
 
     /// Displacement of a patch along the direction, in pixels: its relative depth.
-    pub(super) fn depth(&self, sight: &Sight) -> f64 {
-        let r = sight.displacement - basis(sight) * self.across;
-        let pull = sight.precision * self.direction;
+    pub(super) fn depth(&self, observation: &Observation) -> f64 {
+        let r = observation.displacement - basis(observation) * self.across;
+        let pull = observation.precision * self.direction;
         r.dot(&pull) / self.direction.dot(&pull).max(1e-12)
     }
 }
 
-fn basis(sight: &Sight) -> SMatrix<f64, 2, 8> {
-    SMatrix::from_fn(|row, column| CameraMotion::by_homography(sight.at)[row][column])
+fn basis(observation: &Observation) -> SMatrix<f64, 2, 8> {
+    SMatrix::from_fn(|row, column| CameraMotion::by_homography(observation.at)[row][column])
 }
 
 /// The absolute error of a misfit (in variances), smooth at 0.
@@ -58,36 +58,36 @@ fn absolute(misfit: f64) -> f64 {
 }
 
 /// Searches for the direction in which depth displaces the patches.
-pub(super) fn search(sights: &[Sight]) -> Start {
-    let plain = homography(sights);
-    let of_plain = |s: &Sight| {
+pub(super) fn search(observations: &[Observation]) -> Start {
+    let plain = homography(observations);
+    let of_plain = |s: &Observation| {
         let d = basis(s) * plain;
         absolute(s.misfit([d.x, d.y]))
     };
-    let all = sights.iter().map(of_plain).sum::<f64>();
+    let all = observations.iter().map(of_plain).sum::<f64>();
     let tried = (0..DIRECTIONS).map(|i| {
         let (sin, cos) = libm::sincos(PI * i as f64 / DIRECTIONS as f64);
         let direction = Vector2::new(cos, sin);
-        let (across, error) = across(sights, &plain, direction);
+        let (across, error) = across(observations, &plain, direction);
         (error, across, direction)
     });
     let start = (all, plain, Vector2::x());
     let (error, across, direction) = tried.fold(start, |best, other| if other.0 < best.0 { other } else { best });
-    Start { plain, across, direction, gain: (all - error) / sights.len().max(1) as f64 }
+    Start { plain, across, direction, gain: (all - error) / observations.len().max(1) as f64 }
 }
 
 /// The homography of least absolute errors.
-fn homography(sights: &[Sight]) -> Homography {
+fn homography(observations: &[Observation]) -> Homography {
     let mut h = Homography::zeros();
     for _ in 0..ROUNDS.0 {
         let (mut normal, mut right) = (SMatrix::<f64, 8, 8>::zeros(), Homography::zeros());
-        for sight in sights {
-            let basis = basis(sight);
+        for observation in observations {
+            let basis = basis(observation);
             let d = basis * h;
-            let weight = 1.0 / (absolute(sight.misfit([d.x, d.y])) + 1.0);
-            let weighed = basis.transpose() * (sight.precision * weight);
+            let weight = 1.0 / (absolute(observation.misfit([d.x, d.y])) + 1.0);
+            let weighed = basis.transpose() * (observation.precision * weight);
             normal += weighed * basis;
-            right += weighed * sight.displacement;
+            right += weighed * observation.displacement;
         }
         h = solved(normal, right, 1.0 / (EXPECTED_PX * EXPECTED_PX), &Homography::zeros());
     }
@@ -95,10 +95,11 @@ fn homography(sights: &[Sight]) -> Homography {
 }
 
 /// The homography that explains the displacements across `direction`, near `plain`, and the sum of its errors.
-fn across(sights: &[Sight], plain: &Homography, direction: Vector2<f64>) -> (Homography, f64) {
+fn across(observations: &[Observation], plain: &Homography, direction: Vector2<f64>) -> (Homography, f64) {
     let normal_direction = Vector2::new(-direction.y, direction.x);
-    // For each sight: the derivatives of the displacement across the direction, this displacement, and its precision.
-    let rows: Vec<(Homography, f64, f64)> = sights
+    // For each observation: the derivatives of the displacement across the direction, this displacement, and its
+    // precision.
+    let rows: Vec<(Homography, f64, f64)> = observations
         .iter()
         .map(|s| {
             let covariance = s.precision.try_inverse().unwrap_or_else(nalgebra::Matrix2::identity);
@@ -119,7 +120,7 @@ fn across(sights: &[Sight], plain: &Homography, direction: Vector2<f64>) -> (Hom
             normal += weighed * row.0.transpose();
             right += weighed * row.1;
         }
-        h = solved(normal, right, HOLD * sights.len() as f64, plain);
+        h = solved(normal, right, HOLD * observations.len() as f64, plain);
     }
     (h, rows.iter().map(|row| absolute(misfit(&h, row))).sum())
 }

@@ -1,10 +1,10 @@
 //! The displacements of patches in all frames: the data from which the cameras are computed.
 //!
-//! In: for each frame, its pair with the reference, and the transform of its placement. Out: [`Sight`]s. Cost: the
-//! block matching of [`local`](crate::align::local), some hundred correlations per pixel of its level.
+//! In: for each frame, its pair with the reference, and the transform of its placement. Out: [`Observation`]s. Cost:
+//! the block matching of [`local`](crate::align::local), some hundred correlations per pixel of its level.
 
 use crate::align::agreement::TileDisplacement;
-use crate::align::depth::camera::Coordinates;
+use crate::align::depth::geometry::camera_motion::Coordinates;
 use nalgebra::{Matrix2, Vector2};
 
 /// Standard deviation of the noise of a correlation. The displacement of a patch is as uncertain as its correlation
@@ -15,27 +15,27 @@ const LEAST_ERROR: f64 = 0.15;
 
 /// The displacement of a patch of the reference in one frame.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Sight {
+pub(in crate::align::depth) struct Observation {
     /// Number of the patch; the same in all frames.
-    pub(super) patch: usize,
+    pub(in crate::align::depth) patch: usize,
     /// Centre of the patch, in [`Coordinates`].
-    pub(super) at: [f64; 2],
+    pub(in crate::align::depth) at: [f64; 2],
     /// Displacement from the position that the transform gives, in pixels of the level.
-    pub(super) displacement: Vector2<f64>,
+    pub(in crate::align::depth) displacement: Vector2<f64>,
     /// Inverse covariance of the displacement.
-    pub(super) precision: Matrix2<f64>,
+    pub(in crate::align::depth) precision: Matrix2<f64>,
 }
 
-impl Sight {
-    /// The sight of patch `patch` with the displacement `found`.
-    pub(super) fn new(patch: usize, found: &TileDisplacement, coordinates: &Coordinates) -> Self {
+impl Observation {
+    /// The observation of patch `patch` with the displacement `found`.
+    pub(in crate::align::depth) fn new(patch: usize, found: &TileDisplacement, coordinates: &Coordinates) -> Self {
         let [xx, xy, yy] = found.sharpness;
         // Along an edge, the displacement is unknown. There, the precision is nearly 0.
         let least = 1e-6 + 1e-3 * (xx + yy);
         let sharpness = Matrix2::new(xx + least, xy, xy, yy + least);
         let inverse = sharpness.try_inverse().unwrap_or_else(Matrix2::zeros);
         let covariance = inverse * CORRELATION_NOISE + Matrix2::identity() * (LEAST_ERROR * LEAST_ERROR);
-        Sight {
+        Observation {
             patch,
             at: coordinates.of(found.centre),
             displacement: inverse * Vector2::from(found.pull),
@@ -44,7 +44,7 @@ impl Sight {
     }
 
     /// Squared distance of the displacement `d` from the measured one, in variances.
-    pub(super) fn misfit(&self, d: [f64; 2]) -> f64 {
+    pub(in crate::align::depth) fn misfit(&self, d: [f64; 2]) -> f64 {
         let r = self.displacement - Vector2::from(d);
         (self.precision * r).dot(&r)
     }
