@@ -66,11 +66,11 @@ const SHEETS: u64 = 6;
 const MATCHED: u64 = 3 * Demand::MOST_LABELS;
 /// Bytes of the chosen depths per pixel of the level on which depth is measured.
 const CHOSEN: u64 = 8;
-/// Bytes of the smoothing per pixel of that level: 15 floats, and tables of the patches. Measured.
+/// Bytes of the smoothing per pixel of that level: 15 floats, and a margin for the displacements of the patches.
 const SMOOTHED: u64 = 72;
 /// Bytes per pixel of the level on which depth is measured, for each frame: the grey values of the frame and of the
 /// reference that are compared.
-const SHOWN: u64 = 8;
+const COMPARED: u64 = 8;
 /// Bytes per pixel of the finest level of the refinement that are kept for the merge: the depth. One byte more is kept
 /// for each frame: whether the pixel is hidden.
 const KEPT_RELIEF: u64 = 4;
@@ -167,10 +167,10 @@ impl Demand {
     /// Bytes of the measurement of depth.
     fn relief(&self) -> u64 {
         let (pixels, frames) = (self.measured_pixels(), self.frames as u64);
-        let matched = MATCHED * Demand::STRIP_PIXELS.min(pixels) + (CHOSEN + SHOWN * frames) * pixels;
-        let smoothed = (CHOSEN + SMOOTHED + SHOWN * frames) * pixels;
-        let shown = self.kept_relief() + HIDING * self.refined_pixels();
-        if self.stages.following { matched.max(smoothed).max(shown) } else { 0 }
+        let matched = MATCHED * Demand::STRIP_PIXELS.min(pixels) + (CHOSEN + COMPARED * frames) * pixels;
+        let smoothed = (CHOSEN + SMOOTHED + COMPARED * frames) * pixels;
+        let hidden = self.kept_relief() + HIDING * self.refined_pixels();
+        if self.stages.following { matched.max(smoothed).max(hidden) } else { 0 }
     }
 
     /// Bytes of the measured depth.

@@ -14,7 +14,7 @@ mod stages;
 mod threads;
 mod tonemapping;
 
-use crate::align::{AlignMode, AlignOptions, Local, Placement, RejectedBy};
+use crate::align::{AlignMode, AlignOptions, Placement, RejectedBy};
 use crate::bracket::colour::Space;
 use crate::bracket::{Bracket, LoadOptions};
 use crate::budget::Stages;
@@ -104,13 +104,7 @@ impl Options {
     /// Returns the stages that determine the memory of a run that aligns.
     pub(crate) fn aligning(&self) -> Stages {
         let features = matches!(self.align.mode, AlignMode::Auto | AlignMode::Sift | AlignMode::Surf);
-        Stages { features, following: self.follows(), ..Stages::default() }
-    }
-
-    /// Returns whether the depth of the scene is measured if it has depth.
-    #[doc(hidden)]
-    pub fn follows(&self) -> bool {
-        self.align.mode == AlignMode::Auto && self.align.local == Local::Auto
+        Stages { features, following: self.align.follows_depth(), ..Stages::default() }
     }
 
     /// Returns the stages that determine the memory of a run that merges.

@@ -144,6 +144,11 @@ impl Default for AlignOptions {
 }
 
 impl AlignOptions {
+    /// Returns whether the depth of the scene is measured if it has depth.
+    pub fn follows_depth(&self) -> bool {
+        self.mode == AlignMode::Auto && self.local == Local::Auto
+    }
+
     /// Returns the feature detector of the [mode](Self::mode): SURF for [`AlignMode::Surf`], otherwise SIFT.
     pub(crate) fn detector(&self) -> Detector {
         match self.mode {
@@ -198,32 +203,17 @@ impl AlignOptions {
 pub fn align(bracket: &Bracket, options: &AlignOptions) -> Result<(Alignment, Vec<Warning>)> {
     options.validate()?;
     let given = preset::given(bracket, &options.given)?;
-    let (placements, features, relief) = match options.mode {
-        AlignMode::None => {
-            let (placements, features) = unmoved_but(bracket, &given);
-            (placements, features, None)
-        }
-        AlignMode::Auto => {
-            let mut searched = search(bracket, options, &given, |s| s.auto())?;
-            let relief = match options.local {
-                Local::Auto => depth::follow(bracket, &mut searched),
-                Local::Off => None,
-            };
-            (searched.placements, searched.features, relief.map(Arc::new))
-        }
-        mode => {
-            let searched = search(
-                bracket,
-                options,
-                &given,
-                match mode {
-                    AlignMode::Mtb => |s| s.by_bitmaps_alone(),
-                    _ => |s| s.by_features_alone(),
-                },
-            )?;
-            (searched.placements, searched.features, None)
-        }
+    let search = |find| search(bracket, options, &given, find);
+    let mut searched = match options.mode {
+        AlignMode::None => None,
+        AlignMode::Auto => Some(search(|s| s.auto())?),
+        AlignMode::Mtb => Some(search(|s| s.by_bitmaps_alone())?),
+        AlignMode::Sift | AlignMode::Surf => Some(search(|s| s.by_features_alone())?),
     };
+    let followed = searched.as_mut().filter(|_| options.follows_depth());
+    let relief = followed.and_then(|searched| depth::follow(bracket, searched)).map(Arc::new);
+    let (placements, features) =
+        searched.map_or_else(|| unmoved_but(bracket, &given), |searched| (searched.placements, searched.features));
     let mut warnings = warnings::of_frames(bracket, &placements);
     let overlap = Rect { x0: 0, y0: 0, x1: bracket.width(), y1: bracket.height() };
     let alignment = Alignment { placements, features, overlap, relief };

@@ -63,6 +63,11 @@ fn observations(motions: &[CameraMotion], patches: usize, depth: impl Fn([f64; 2
     (0..motions.len()).map(|frame| (0..patches).map(|i| observation(frame, i)).collect()).collect()
 }
 
+fn fit(frames: &[Vec<Observation>], patches: usize) -> Option<Geometry> {
+    let frames: Vec<&[Observation]> = frames.iter().map(Vec::as_slice).collect();
+    geometry::fit(&frames, patches, Coordinates::new(SIZE).unit)
+}
+
 /// Two planes, one of them tilted.
 fn two_planes([u, v]: [f64; 2]) -> f64 {
     if u + 0.3 * v > 0.2 { 3.0 + u } else { -1.0 }
@@ -73,7 +78,7 @@ fn motions_and_depths_explain_the_displacements() {
     let unit = Coordinates::new(SIZE).unit;
     let truth = two_motions();
     let frames = observations(&truth, 600, two_planes);
-    let found = geometry::fit(&frames, 600, unit).unwrap();
+    let found = fit(&frames, 600).unwrap();
     // The depths and motions are known up to a change of the plane of depth 0, so displacements are compared. The error
     // of a patch is that of its own displacements, about 0.06 px: it has one depth for four coordinates.
     let mut errors = Vec::new();
@@ -92,9 +97,8 @@ fn motions_and_depths_explain_the_displacements() {
 
 #[test]
 fn nothing_is_measured_without_depth_or_with_independent_motion() {
-    let unit = Coordinates::new(SIZE).unit;
     let flat = observations(&two_motions(), 600, |_| 0.0);
-    let is_depth = |frames: &[Vec<Observation>]| geometry::fit(frames, 600, unit).is_some_and(|g| g.is_depth());
+    let is_depth = |frames: &[Vec<Observation>]| fit(frames, 600).is_some_and(|g| g.is_depth());
     assert!(!is_depth(&flat), "one homography suffices");
     // A quarter of the patches move by themselves, in each frame in another way.
     let mut leaves = flat;
@@ -106,7 +110,7 @@ fn nothing_is_measured_without_depth_or_with_independent_motion() {
     }
     assert!(!is_depth(&leaves), "depth does not explain it");
     let few = observations(&two_motions(), 20, two_planes);
-    assert!(geometry::fit(&few, 20, unit).is_none(), "too few patches");
+    assert!(fit(&few, 20).is_none(), "too few patches");
 }
 
 /// A volume with pseudorandom costs.

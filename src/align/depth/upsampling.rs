@@ -5,6 +5,7 @@
 //! "Joint Bilateral Upsampling", SIGGRAPH 2007). At jumps, a pixel takes the depth of one neighbour instead of a mean:
 //! between two surfaces, there is nothing.
 
+use crate::align::motion::relief::interpolated;
 use crate::plane::Plane;
 
 /// A neighbour at the distance of one pixel of the coarser level is as good as one with a grey value that differs by
@@ -20,14 +21,8 @@ pub(super) fn finer(depths: &Plane<f32>, jump: f32, reference: &Plane<u8>, fine:
         let rows = (v as usize).saturating_sub(1)..(v as usize + 3).min(height);
         for (x, depth) in row.iter_mut().enumerate() {
             let u = ((x as f32 - 0.5) / 2.0).clamp(0.0, (width - 1) as f32);
-            let (left, top) = ((u as usize).min(width.saturating_sub(2)), (v as usize).min(height.saturating_sub(2)));
-            let (right, bottom) = ((left + 1).min(width - 1), (top + 1).min(height - 1));
-            let four = [(left, top), (right, top), (left, bottom), (right, bottom)].map(|(x, y)| depths.at(x, y));
-            let (least, most) = four.iter().fold((f32::MAX, f32::MIN), |(a, b), &q| (a.min(q), b.max(q)));
-            if most - least <= jump {
-                let (fx, fy) = (u - left as f32, v - top as f32);
-                let (upper, lower) = (four[0] + fx * (four[1] - four[0]), four[2] + fx * (four[3] - four[2]));
-                *depth = upper + fy * (lower - upper);
+            if let Some(smooth) = interpolated(depths, jump, (u, v)) {
+                *depth = smooth;
                 continue;
             }
             let grey = f32::from(fine.at(x, y));
@@ -44,4 +39,30 @@ pub(super) fn finer(depths: &Plane<f32>, jump: f32, reference: &Plane<u8>, fine:
             }
         }
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A near surface ends at column 21 of the finer level, between two pixels of the coarser one; both surfaces are
+    /// tilted.
+    #[test]
+    fn jumps_are_at_the_edges_of_the_finer_picture_and_planes_stay_planes() {
+        let fine = Plane::from_rows(40, 12, |_, row: &mut [u8]| {
+            row.iter_mut().enumerate().for_each(|(x, v)| *v = if x < 21 { 200 } else { 60 });
+        });
+        let coarse = crate::pyramid::halves(fine.clone(), 6).swap_remove(1);
+        let truth = |x: f32| if x < 20.5 { 9.0 + 0.02 * x } else { 1.0 - 0.01 * x };
+        let depths = Plane::from_rows(20, 6, |_, row: &mut [f32]| {
+            row.iter_mut().enumerate().for_each(|(x, q)| *q = truth(2.0 * x as f32 + 0.5));
+        });
+        let found = finer(&depths, 1.0, &coarse, &fine);
+        for x in 0..40 {
+            // At the jump, a pixel takes the depth of a neighbour, which is at most three pixels away; at the border,
+            // depths are repeated.
+            let error = (found.at(x, 5) - truth(x as f32)).abs();
+            assert!(error < 0.07, "column {x}: {} instead of {}", found.at(x, 5), truth(x as f32));
+        }
+    }
 }

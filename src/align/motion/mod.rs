@@ -85,8 +85,8 @@ impl Motion {
         Some((relief, relief.view(*i)?))
     }
 
-    /// Homographies, of which at least one maps each of the reference's pixels `columns` x `rows` (a) to its position
-    /// in the frame, or such that its position is (b) between those that two of them give.
+    /// Two homographies: the position in the frame of each of the reference's pixels `columns` x `rows` is on the line
+    /// between the two positions that they give.
     pub(crate) fn bounds(&self, columns: &Range<usize>, rows: &Range<usize>) -> [Matrix3<f64>; 2] {
         match self.relief() {
             None => [self.homography; 2],

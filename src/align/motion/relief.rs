@@ -44,31 +44,19 @@ impl Relief {
         self.views[i].as_ref()
     }
 
-    /// The pixel of the level before the position `v` of the full size, the one after it, and the fraction between
-    /// them. `count` is the number of pixels of the level.
+    /// The position on the level of the position `v` of the full size. `count` is the number of pixels of the level.
     #[inline(always)]
-    fn between(&self, v: f32, count: usize) -> (usize, usize, f32) {
-        let v = ((v + 0.5) / (1u64 << self.level) as f32 - 0.5).clamp(0.0, (count - 1) as f32);
-        let first = (v as usize).min(count.saturating_sub(2));
-        (first, (first + 1).min(count - 1), v - first as f32)
+    fn on_level(&self, v: f32, count: usize) -> f32 {
+        ((v + 0.5) / (1u64 << self.level) as f32 - 0.5).clamp(0.0, (count - 1) as f32)
     }
 
     /// Relative depth at the position (x, y) of the full size; and whether the frame of `view` shows it.
     #[inline(always)]
     pub(crate) fn at(&self, view: &View, x: f32, y: f32) -> (f32, bool) {
-        let (left, right, fx) = self.between(x, self.depths.width());
-        let (top, bottom, fy) = self.between(y, self.depths.height());
-        let (above, below) = (self.depths.row(top), self.depths.row(bottom));
-        let four = [above[left], above[right], below[left], below[right]];
-        let nearest = (if fx < 0.5 { left } else { right }, if fy < 0.5 { top } else { bottom });
-        let [least, most] = extremes(&four);
-        let depth = if most - least > self.jump {
-            self.depths.at(nearest.0, nearest.1)
-        } else {
-            let upper = four[0] + fx * (four[1] - four[0]);
-            let lower = four[2] + fx * (four[3] - four[2]);
-            upper + fy * (lower - upper)
-        };
+        let (u, v) = (self.on_level(x, self.depths.width()), self.on_level(y, self.depths.height()));
+        let nearest = ((u + 0.5) as usize, (v + 0.5) as usize);
+        let depth = interpolated(&self.depths, self.jump, (u, v));
+        let depth = depth.unwrap_or_else(|| self.depths.at(nearest.0, nearest.1));
         (depth, !view.hidden.at(nearest.0, nearest.1))
     }
 
@@ -76,7 +64,8 @@ impl Relief {
     pub(crate) fn range(&self, columns: &Range<usize>, rows: &Range<usize>) -> [f32; 2] {
         let span = |range: &Range<usize>, count| {
             let end = range.end.max(range.start + 1) - 1;
-            self.between(range.start as f32, count).0..self.between(end as f32, count).1 + 1
+            let [first, last] = [range.start, end].map(|v| self.on_level(v as f32, count));
+            first as usize..(last as usize + 2).min(count)
         };
         let (columns, rows) = (span(columns, self.depths.width()), span(rows, self.depths.height()));
         let of_rows = rows.map(|y| extremes(&self.depths.row(y)[columns.clone()]));
@@ -87,6 +76,21 @@ impl Relief {
     pub(crate) fn extremes(&self) -> [f32; 2] {
         self.extremes
     }
+}
+
+/// Returns the depth at the position (u, v), which must be within the rectangle of pixel centres of `depths`; none if
+/// the pixels around it are on different surfaces, because their depths differ by more than `jump`.
+#[inline(always)]
+pub(crate) fn interpolated(depths: &Plane<f32>, jump: f32, (u, v): (f32, f32)) -> Option<f32> {
+    let (left, top) = (u as usize, v as usize);
+    let (right, bottom) = ((left + 1).min(depths.width() - 1), (top + 1).min(depths.height() - 1));
+    let (above, below) = (depths.row(top), depths.row(bottom));
+    let four = [above[left], above[right], below[left], below[right]];
+    let [least, most] = extremes(&four);
+    let (fx, fy) = (u - left as f32, v - top as f32);
+    let upper = four[0] + fx * (four[1] - four[0]);
+    let lower = four[2] + fx * (four[3] - four[2]);
+    (most - least <= jump).then_some(upper + fy * (lower - upper))
 }
 
 /// The lowest and the highest of `values`.

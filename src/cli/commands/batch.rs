@@ -361,7 +361,7 @@ impl Args {
             },
             normalisation,
             options,
-            follows: acting.follows(),
+            follows: acting.align.follows_depth(),
             seeks_ghosts: acting.deghost.is_on(),
             fuses: matches!(acting.rendering, hdralign::tonemap::Rendering::Fused(_)),
         })

@@ -37,6 +37,7 @@ const MOST_UNEXPLAINED: f64 = 0.33;
 /// A frame that was rejected is placed only if the depths that other frames show leave at most this share of its
 /// observations unexplained. With a wrong transform, or in another scene, patches match by chance.
 const MOST_UNEXPLAINED_ALONE: f64 = 0.15;
+
 /// The motions of all frames.
 #[derive(Debug, Clone)]
 pub(super) struct Geometry {
@@ -121,7 +122,7 @@ fn weight(round: usize) -> impl Fn(f64) -> f64 {
 
 /// Computes the motions from the observations of each frame; none if no frame has enough observations. `unit` is the
 /// unit of the coordinates, in pixels.
-pub(super) fn fit(frames: &[Vec<Observation>], patches: usize, unit: f64) -> Option<Geometry> {
+pub(super) fn fit(frames: &[&[Observation]], patches: usize, unit: f64) -> Option<Geometry> {
     let starts: Vec<Option<Start>> =
         frames.iter().map(|f| (f.len() >= LEAST_OBSERVED).then(|| direction::search(f))).collect();
     // The frame with most parallax gives the first depths.
@@ -129,7 +130,7 @@ pub(super) fn fit(frames: &[Vec<Observation>], patches: usize, unit: f64) -> Opt
     let first = (0..frames.len()).filter(|&i| starts[i].is_some()).max_by(|a, b| gain(a).total_cmp(&gain(b)))?;
     let mut depths = vec![None; patches];
     let start = starts[first].as_ref()?;
-    for observation in &frames[first] {
+    for observation in frames[first] {
         depths[observation.patch] = Some(start.depth(observation));
     }
     let mut motions: Vec<Option<CameraMotion>> = vec![None; frames.len()];
@@ -152,7 +153,7 @@ pub(super) fn fit(frames: &[Vec<Observation>], patches: usize, unit: f64) -> Opt
         normalise(&mut motions, &mut depths);
     }
     let explained = (0..frames.len()).map(|i| match (&starts[i], &motions[i]) {
-        (Some(start), Some(motion)) => explained(&frames[i], [&start.without_depth(), motion], &depths, unit),
+        (Some(start), Some(motion)) => explained(frames[i], [&start.without_depth(), motion], &depths, unit),
         _ => Explained::default(),
     });
     let explained = explained.collect();
@@ -213,7 +214,7 @@ fn step(motion: &CameraMotion, known: &[(&Observation, f64)], unit: f64, weight:
 
 /// Computes the depth of every patch that a frame with a motion shows.
 fn refit_depths(
-    frames: &[Vec<Observation>],
+    frames: &[&[Observation]],
     motions: &[Option<CameraMotion>],
     depths: &mut [Option<f64>],
     unit: f64,
@@ -222,7 +223,7 @@ fn refit_depths(
     let mut sums = vec![(0.0, 0.0); depths.len()];
     for (observations, motion) in frames.iter().zip(motions) {
         let Some(motion) = motion else { continue };
-        for observation in observations {
+        for observation in *observations {
             let before = depths[observation.patch];
             let q = before.unwrap_or(0.0);
             let d = motion.displacement(observation.at, q, unit);
