@@ -104,7 +104,7 @@ impl Options {
     /// Returns the stages that determine the memory of a run that aligns.
     pub(crate) fn aligning(&self) -> Stages {
         let features = matches!(self.align.mode, AlignMode::Auto | AlignMode::Sift | AlignMode::Surf);
-        Stages { features, following: self.align.follows_depth(), ..Stages::default() }
+        Stages { features, following: self.align.follows(), ..Stages::default() }
     }
 
     /// Returns the stages that determine the memory of a run that merges.

@@ -6,7 +6,8 @@
 //!
 //! The sub-modules. Each uses only modules that come before it in this list, or in the same item:
 //!
-//! 1. `transform`: transforms and their models. [`motion`]: where a frame shows each pixel, by a transform or by depth.
+//! 1. `transform`: transforms and their models. [`motion`]: where a frame shows each pixel, by a transform, a bend, or
+//!    at its depth.
 //!    `result`: the types that the alignment returns.
 //! 2. [`grey`]: grey pyramids. [`resampling`]: interpolation kernels, and resampling of rows. [`photometric`]:
 //!    conversion of two frames to a common exposure.
@@ -18,7 +19,7 @@
 //! 6. `local`: finds the parts of the picture that a transform does not fit.
 //! 7. `ladder`: the order of the methods, and the choice among the transforms that they find. `diagnostics`: the data
 //!    that the command `inspect` shows.
-//! 8. `depth`: the depth of each pixel, if the scene has depth.
+//! 8. `following`: the motion of each frame where one homography does not suffice: by the lens, the shutter, or depth.
 //!
 //! The mode `auto` tries methods from the cheapest to the most expensive, and stops as soon as the tiles of the picture
 //! agree with the transform. The methods are: comparison of bitmaps with the reference; comparison of bitmaps with a
@@ -31,10 +32,10 @@
 pub mod agreement;
 #[doc(hidden)]
 pub mod bitmaps;
-pub(crate) mod depth;
 pub(crate) mod diagnostics;
 #[doc(hidden)]
 pub mod features;
+mod following;
 #[doc(hidden)]
 pub mod grey;
 mod ladder;
@@ -61,11 +62,10 @@ use features::{Detector, RansacOptions, SiftOptions, SurfOptions};
 #[doc(hidden)]
 pub use grey::{GreyPyramid, grey_pyramid, searched_pyramid};
 use ladder::search;
-pub use motion::{Motion, Relief};
+pub use motion::{Bend, Cause, Followed, Motion, Relief};
 use preset::Preset;
 pub use result::{Alignment, Displaced, Estimate, FeatureCounts, KeypointCounts, Placement, Rect, RejectedBy, Status};
 use result::{unmoved_but, warnings};
-use std::sync::Arc;
 pub use transform::{Model, Transform};
 
 /// Alignment method.
@@ -95,8 +95,9 @@ pub enum AlignMode {
 #[serde(rename_all = "kebab-case")]
 #[strum(serialize_all = "kebab-case")]
 pub enum Local {
-    /// If only the camera moved, and near things moved more than far things, the depth of the scene is measured, and
-    /// each pixel is aligned at its depth.
+    /// If only the camera moved, but one homography for each frame does not align everything: the distortion of the
+    /// lens is measured, or the motion while the rows were read (rolling shutter), or the depth of the scene
+    /// (parallax).
     #[default]
     Auto,
     /// One homography aligns all pixels of a frame.
@@ -144,8 +145,8 @@ impl Default for AlignOptions {
 }
 
 impl AlignOptions {
-    /// Returns whether the depth of the scene is measured if it has depth.
-    pub fn follows_depth(&self) -> bool {
+    /// Returns whether bends and depth are measured where one homography does not suffice.
+    pub fn follows(&self) -> bool {
         self.mode == AlignMode::Auto && self.local == Local::Auto
     }
 
@@ -210,13 +211,13 @@ pub fn align(bracket: &Bracket, options: &AlignOptions) -> Result<(Alignment, Ve
         AlignMode::Mtb => Some(search(|s| s.by_bitmaps_alone())?),
         AlignMode::Sift | AlignMode::Surf => Some(search(|s| s.by_features_alone())?),
     };
-    let followed = searched.as_mut().filter(|_| options.follows_depth());
-    let relief = followed.and_then(|searched| depth::follow(bracket, searched)).map(Arc::new);
+    let to_follow = searched.as_mut().filter(|_| options.follows());
+    let followed = to_follow.and_then(|searched| following::follow(bracket, searched));
     let (placements, features) =
         searched.map_or_else(|| unmoved_but(bracket, &given), |searched| (searched.placements, searched.features));
     let mut warnings = warnings::of_frames(bracket, &placements);
     let overlap = Rect { x0: 0, y0: 0, x1: bracket.width(), y1: bracket.height() };
-    let alignment = Alignment { placements, features, overlap, relief };
+    let alignment = Alignment { placements, features, overlap, followed };
     let motions: Vec<(usize, Motion)> = alignment.placed(bracket).map(|(i, _, motion)| (i, motion)).collect();
     let (overlap, small) = warnings::common_overlap(bracket, &motions)?;
     warnings.extend(small);

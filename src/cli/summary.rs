@@ -3,7 +3,7 @@
 
 use super::say;
 use super::terminal::{Terminal, shortened};
-use hdralign::align::Status;
+use hdralign::align::{Cause, Status};
 use hdralign::report::{FrameReport, Report, WarningReport};
 use hdralign::tonemap::adjust::Light;
 use std::path::Path;
@@ -131,8 +131,8 @@ fn aligned(report: &Report, room: usize) -> String {
         let turn = if angle >= 0.05 { format!(" and {angle:.1} degrees") } else { String::new() };
         words.push(format!("{moved} moved, by up to {shift:.1} px{turn}; remaining error {error:.1} px"));
     }
-    if report.frames.iter().any(|frame| frame.alignment.at_depth) {
-        words.push("near and far separately".to_owned());
+    if let Some(cause) = report.frames.iter().find_map(|frame| frame.alignment.followed) {
+        words.push(followed(cause).to_owned());
     }
     if unmoved > 0 {
         words.push(format!("{unmoved} unmoved"));
@@ -149,6 +149,15 @@ fn aligned(report: &Report, room: usize) -> String {
         words.pop();
     }
     if words.is_empty() { "only the reference frame".into() } else { words.join("; ") }
+}
+
+/// Returns what is followed.
+fn followed(cause: Cause) -> &'static str {
+    match cause {
+        Cause::Lens => "with the distortion of the lens",
+        Cause::Shutter => "row by row (rolling shutter)",
+        Cause::Depth => "near and far separately",
+    }
 }
 
 /// Returns a text of at most `room` columns about problems: frames that are not used, frames that are uncertain, and

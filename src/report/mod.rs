@@ -6,7 +6,7 @@
 pub mod options;
 pub mod tonemapped;
 
-use crate::align::{Alignment, KeypointCounts, Model, Rect, RejectedBy, Status};
+use crate::align::{Alignment, Cause, KeypointCounts, Model, Rect, RejectedBy, Status};
 use crate::bracket::colour::{Primaries, Space};
 use crate::bracket::exposure::{ExposureSource, Reading};
 use crate::bracket::{Bracket, Frame};
@@ -189,8 +189,9 @@ pub struct AlignmentReport {
     pub displaced_fraction: Option<f64>,
     /// Median displacement, in px, of the parts that the transform does not align.
     pub displaced_px: Option<f64>,
-    /// Whether each pixel is aligned at its own depth. The homography is then only a start.
-    pub at_depth: bool,
+    /// What is followed because the homography does not suffice; null if nothing is. If it is not null, the homography
+    /// is only a start.
+    pub followed: Option<Cause>,
     /// Why the frame was rejected, excluded or not moved, or how its transform was inferred.
     pub reason: Option<String>,
 }
@@ -313,7 +314,7 @@ fn frame_report(frame: &Frame, alignment: &Alignment, i: usize, (width, height):
             confidence: placement.confidence(),
             displaced_fraction: placement.displaced().map(|d| d.fraction),
             displaced_px: placement.displaced().map(|d| d.px),
-            at_depth: alignment.is_at_depth(i),
+            followed: alignment.cause(i),
             reason: placement.reason().map(str::to_owned),
         },
     }

@@ -17,7 +17,7 @@ use serde::Serialize;
 pub struct OptionsReport {
     /// Alignment methods.
     pub align: AlignMode,
-    /// Whether near and far things are aligned separately if the scene has depth.
+    /// Whether the lens, the shutter, and depth are followed where one homography does not suffice.
     pub local: Local,
     /// Robust estimator for feature matches.
     pub robust: RobustMethod,

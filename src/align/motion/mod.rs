@@ -1,16 +1,20 @@
 //! The motion of a frame: where it shows each pixel of the reference.
 //!
-//! In: a transform, and the [`Relief`] of the scene if it is known. Out: a [`Motion`]. Cost: for each pixel, a
-//! homography; with a relief, also four depths.
+//! In: a transform, and what it does not describe, if that is known: a [`Bend`], or the [`Relief`] of the scene. Out: a
+//! [`Motion`]. Cost: for each pixel, a homography; with a relief, also four depths; with a bend, up to 100 operations.
 //!
-//! One homography describes the motion if the scene is flat or far, or if the camera only turned. If the scene has
-//! depth and nothing in it moved, then a pixel's position also depends on its depth.
+//! One homography describes the motion if the scene is flat or far, or if the camera only turned; and if, beyond that,
+//! the lens does not distort, and all rows were exposed at the same time. Otherwise, smooth bends are added. If the
+//! scene has depth and nothing in it moved, then a pixel's position also depends on its depth.
 
+pub(crate) mod bend;
 pub(crate) mod camera;
+pub(crate) mod coordinates;
 pub(crate) mod relief;
 
 use crate::align::motion::relief::View;
 use crate::align::transform::{Transform, map};
+pub use bend::Bend;
 use nalgebra::Matrix3;
 pub use relief::Relief;
 use std::ops::Range;
@@ -21,18 +25,64 @@ use std::sync::Arc;
 pub struct Motion {
     /// Width and height of the frame, in pixels.
     size: (usize, usize),
-    /// Reference pixel -> frame pixel, if the depth is unknown.
+    /// Reference pixel -> frame pixel, unless something better is followed.
     homography: Matrix3<f64>,
     is_identity: bool,
+    followed: Option<Of>,
+}
+
+/// What the frames of a bracket show of the scene, where one homography for each of them does not suffice.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Followed {
+    /// Each pixel is aligned at its depth.
+    Depth(Arc<Relief>),
+    /// The motion of each frame differs smoothly from its homography; none if the homography suffices.
+    Bends(Vec<Option<Arc<Bend>>>),
+}
+
+/// Why one homography does not suffice.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Cause {
+    /// The lens distorts the pictures.
+    Lens,
+    /// The camera moved while the rows were read (rolling shutter).
+    Shutter,
+    /// The camera moved, and the scene has depth.
+    Depth,
+}
+
+/// What is followed in one frame.
+#[derive(Debug, Clone, PartialEq)]
+enum Of {
     /// The relief, and the number of the frame in it.
-    depth: Option<(Arc<Relief>, usize)>,
+    Depth(Arc<Relief>, usize),
+    /// The frame's bend.
+    Bend(Arc<Bend>),
+}
+
+impl Followed {
+    fn of(&self, i: usize) -> Option<Of> {
+        match self {
+            Followed::Depth(relief) => relief.view(i).map(|_| Of::Depth(relief.clone(), i)),
+            Followed::Bends(bends) => bends[i].as_ref().map(|bend| Of::Bend(bend.clone())),
+        }
+    }
+
+    /// Why the homography of frame `i` does not suffice; none if it does.
+    pub fn cause(&self, i: usize) -> Option<Cause> {
+        match self.of(i)? {
+            Of::Depth(..) => Some(Cause::Depth),
+            Of::Bend(bend) => Some(bend.cause()),
+        }
+    }
 }
 
 impl Motion {
     /// The motion by `transform` of a frame of `size` pixels.
     pub fn new(transform: &Transform, size: (usize, usize)) -> Self {
         let is_identity = *transform == Transform::Identity;
-        Motion { size, homography: transform.matrix(size.0, size.1), is_identity, depth: None }
+        Motion { size, homography: transform.matrix(size.0, size.1), is_identity, followed: None }
     }
 
     /// A frame of `size` pixels that did not move.
@@ -40,10 +90,10 @@ impl Motion {
         Motion::new(&Transform::Identity, size)
     }
 
-    /// The motion of frame `i` by its view of `relief`, if there is one.
-    pub(crate) fn with_relief(self, relief: Option<&Arc<Relief>>, i: usize) -> Self {
-        let depth = relief.filter(|relief| relief.view(i).is_some()).map(|relief| (relief.clone(), i));
-        Motion { is_identity: self.is_identity && depth.is_none(), depth, ..self }
+    /// The motion of frame `i`, if something in it is followed.
+    pub(crate) fn following(self, followed: Option<&Followed>, i: usize) -> Self {
+        let followed = followed.and_then(|followed| followed.of(i));
+        Motion { is_identity: self.is_identity && followed.is_none(), followed, ..self }
     }
 
     /// Whether the frame shows each pixel of the reference at the same position.
@@ -55,10 +105,12 @@ impl Motion {
     /// outside of the frame. None if something nearer hides it in the frame.
     #[inline(always)]
     pub fn position(&self, x: f64, y: f64) -> Option<(f64, f64)> {
-        match self.relief() {
+        match &self.followed {
             None if self.is_identity => Some((x, y)),
             None => Some(map(&self.homography, x, y)),
-            Some((relief, view)) => {
+            Some(Of::Bend(bend)) => Some(bend.position(x, y)),
+            Some(Of::Depth(..)) => {
+                let (relief, view) = self.relief()?;
                 let (q, is_shown) = relief.at(view, x as f32, y as f32);
                 is_shown.then(|| view.camera.position(x, y, f64::from(q)))
             }
@@ -81,24 +133,42 @@ impl Motion {
     /// The relief and the frame's view of it, if the depth is known.
     #[inline(always)]
     pub(crate) fn relief(&self) -> Option<(&Relief, &View)> {
-        let (relief, i) = self.depth.as_ref()?;
-        Some((relief, relief.view(*i)?))
+        match &self.followed {
+            Some(Of::Depth(relief, i)) => Some((relief, relief.view(*i)?)),
+            _ => None,
+        }
     }
 
-    /// Two homographies: the position in the frame of each of the reference's pixels `columns` x `rows` is on the line
-    /// between the two positions that they give.
+    /// The bend, if there is one.
+    #[inline(always)]
+    pub(crate) fn bend(&self) -> Option<&Bend> {
+        match &self.followed {
+            Some(Of::Bend(bend)) => Some(bend),
+            _ => None,
+        }
+    }
+
+    /// Two homographies: along each axis, the position in the frame of each of the reference's pixels `columns` x
+    /// `rows` is between the two positions that they give.
     pub(crate) fn bounds(&self, columns: &Range<usize>, rows: &Range<usize>) -> [Matrix3<f64>; 2] {
         match self.relief() {
-            None => [self.homography; 2],
             Some((relief, view)) => relief.range(columns, rows).map(|q| view.camera.homography(f64::from(q))),
+            None => self.extremes(),
         }
     }
 
     /// Like [`bounds`](Self::bounds), for the whole reference.
     pub(crate) fn extremes(&self) -> [Matrix3<f64>; 2] {
-        match self.relief() {
+        match &self.followed {
             None => [self.homography; 2],
-            Some((relief, view)) => relief.extremes().map(|q| view.camera.homography(f64::from(q))),
+            Some(Of::Bend(bend)) => {
+                let shift = |px: f64| Matrix3::new(1.0, 0.0, px, 0.0, 1.0, px, 0.0, 0.0, 1.0);
+                [-bend.farthest(), bend.farthest()].map(|px| shift(px) * self.homography)
+            }
+            Some(Of::Depth(relief, i)) => {
+                let camera = relief.view(*i).map(|view| &view.camera);
+                relief.extremes().map(|q| camera.map_or(self.homography, |c| c.homography(f64::from(q))))
+            }
         }
     }
 }

@@ -1,7 +1,10 @@
 //! Tests of the Lanczos resampling against its definition.
 
 use super::*;
+use crate::align::motion::Followed;
+use crate::align::motion::bend::{Bend, Course, Lens, Radial};
 use crate::align::motion::camera::Camera;
+use crate::align::motion::coordinates::Coordinates;
 use crate::align::motion::relief::{Relief, View};
 use crate::align::resampling::lanczos::lanczos3;
 use crate::align::resampling::tile::Source;
@@ -40,7 +43,18 @@ fn bumpy(width: usize, height: usize) -> Motion {
     let hidden = depths.map(|q| q > 10.0);
     let camera = Camera::new(Matrix3x4::new(1.0, 0.01, 2.3, 0.7, -0.01, 1.0, -1.6, 0.4, 1e-5, 2e-5, 1.0, 1e-4));
     let relief = Relief::new(1, depths, 1.0, vec![Some(View { camera, hidden })]);
-    Motion::none((width, height)).with_relief(Some(&Arc::new(relief)), 0)
+    Motion::none((width, height)).following(Some(&Followed::Depth(Arc::new(relief))), 0)
+}
+
+/// The motion of a frame whose lens distorts.
+fn bent(width: usize, height: usize) -> Motion {
+    let coordinates = Coordinates::new((width, height));
+    let h = Matrix3::new(1.0, -0.03, 0.05, 0.03, 1.0, -0.02, 0.01, 0.0, 1.0);
+    let radials = [[0.1, 0.02], [-0.1, 0.03]].map(|powers| Radial { powers });
+    let pixels = coordinates.inverse() * h * coordinates.matrix();
+    let bend = Bend::new(Course::Lens(Lens::new(coordinates, radials, h)), &pixels, (width, height));
+    let motion = Motion::new(&Transform::Homography(pixels), (width, height));
+    motion.following(Some(&Followed::Bends(vec![Some(Arc::new(bend))])), 0)
 }
 
 /// Computes the resampled value as the double sum of the definition, without tables.
@@ -98,7 +112,7 @@ fn tiles_give_the_same_bits_as_pixels_by_themselves() {
         Transform::Homography(horizon),
     ];
     let motions = transforms.map(|transform| Motion::new(&transform, (300, 90)));
-    for motion in motions.into_iter().chain([bumpy(300, 90)]) {
+    for motion in motions.into_iter().chain([bumpy(300, 90), bent(300, 90)]) {
         for (i, pixel) in moved(&f, &motion).iter().enumerate() {
             let at = motion.position((i % 300) as f64, (i / 300) as f64);
             let at = at.filter(|(u, v)| (0.0..=299.0).contains(u) && (0.0..=89.0).contains(v));
@@ -150,7 +164,7 @@ fn the_rows_under_a_strip_are_enough() {
         Transform::Homography(perspective),
     ];
     let motions = transforms.map(|transform| Motion::new(&transform, (60, 90)));
-    for motion in motions.into_iter().chain([bumpy(60, 90)]) {
+    for motion in motions.into_iter().chain([bumpy(60, 90), bent(60, 90)]) {
         let all = moved(&f, &motion);
         for rows in [0..1, 5..21, 40..90] {
             let under = rows_under(&motion, &(4..57), &rows);

@@ -214,6 +214,10 @@ impl<T: Copy + Into<f32>> Loops for Tile<'_, '_, T> {
                             *depth = relief.at(view, x as f32, y as f32);
                         }
                         positions.find_at_depths(&view.camera, depths, first, origin, last);
+                    } else if let Some(bend) = self.motion.bend() {
+                        for (i, x) in self.columns.clone().enumerate() {
+                            positions.set(i, bend.position(x as f64, y as f64), origin, last);
+                        }
                     } else if is_affine {
                         positions.find::<true>(h, first, origin, last);
                     } else {

@@ -11,10 +11,9 @@ pub(crate) mod warnings;
 pub use overlap::Rect;
 pub use placement::{Displaced, Estimate, Placement, RejectedBy, Status};
 
-use crate::align::motion::{Motion, Relief};
+use crate::align::motion::{Cause, Followed, Motion};
 use crate::align::transform::Transform;
 use crate::bracket::{Bracket, Frame};
-use std::sync::Arc;
 
 /// Numbers of keypoints found in a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
@@ -45,8 +44,8 @@ pub struct Alignment {
     pub features: Vec<FeatureCounts>,
     /// The largest rectangle of the reference that all placed frames cover.
     pub overlap: Rect,
-    /// The depth of the scene; none if one homography for each frame suffices, or if it was not measured.
-    pub relief: Option<Arc<Relief>>,
+    /// What one homography for each frame does not describe; none if nothing is left, or if it was not measured.
+    pub followed: Option<Followed>,
 }
 
 impl Alignment {
@@ -54,7 +53,7 @@ impl Alignment {
     pub fn unmoved(bracket: &Bracket) -> Self {
         let (placements, features) = unmoved_but(bracket, &vec![None; bracket.frames().len()]);
         let overlap = Rect { x0: 0, y0: 0, x1: bracket.width(), y1: bracket.height() };
-        Alignment { placements, features, overlap, relief: None }
+        Alignment { placements, features, overlap, followed: None }
     }
 
     /// The frames of `bracket` that are merged: the index of each, the frame, and its motion.
@@ -62,15 +61,15 @@ impl Alignment {
         bracket.frames().iter().enumerate().filter_map(|(i, frame)| Some((i, frame, self.motion(bracket, i)?)))
     }
 
-    /// Whether each pixel of frame `i` is aligned at its own depth.
-    pub fn is_at_depth(&self, i: usize) -> bool {
-        self.relief.as_ref().is_some_and(|relief| relief.view(i).is_some())
+    /// Why the transform of frame `i` does not suffice; none if it does, or if nothing better is known.
+    pub fn cause(&self, i: usize) -> Option<Cause> {
+        self.followed.as_ref()?.cause(i)
     }
 
     /// The motion of frame `i` of `bracket`; none for a rejected frame.
     pub fn motion(&self, bracket: &Bracket, i: usize) -> Option<Motion> {
         let motion = Motion::new(&self.placements[i].transform()?, (bracket.width(), bracket.height()));
-        Some(motion.with_relief(self.relief.as_ref(), i))
+        Some(motion.following(self.followed.as_ref(), i))
     }
 }
 

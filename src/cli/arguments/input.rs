@@ -29,7 +29,7 @@ pub struct Method {
     #[arg(long, help_heading = ALIGNMENT, value_parser = choice::<AlignMode>(), default_value_t, value_name = "METHOD")]
     align: AlignMode,
 
-    /// Align near and far things separately if the camera moved between them (parallax); with --align auto
+    /// Follow what one homography for each frame cannot: the lens, a rolling shutter, or depth; with --align auto
     #[arg(long, help_heading = ALIGNMENT, hide_short_help = true, value_parser = choice::<Local>(), default_value_t, value_name = "WHEN")]
     local: Local,
 

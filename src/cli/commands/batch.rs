@@ -361,7 +361,7 @@ impl Args {
             },
             normalisation,
             options,
-            follows: acting.align.follows_depth(),
+            follows: acting.align.follows(),
             seeks_ghosts: acting.deghost.is_on(),
             fuses: matches!(acting.rendering, hdralign::tonemap::Rendering::Fused(_)),
         })

@@ -1,12 +1,17 @@
 //! The depth stages against textbook versions, and against scenes with known depth.
 
 use super::*;
-use crate::align::motion::Motion;
+use crate::align::following::observations::Observation;
+use crate::align::following::{Start, observed};
+use crate::align::local::patches;
+use crate::align::motion::coordinates::Coordinates;
+use crate::align::motion::{Cause, Followed, Motion};
 use crate::align::scene::{Scene, Shot, photograph, shift, uniform};
 use crate::align::tests::frame;
+use crate::align::transform::Transform;
 use crate::align::transforms_file::SavedAlignment;
 use crate::align::{AlignOptions, Alignment, Local, align};
-use crate::bracket::ReferenceChoice;
+use crate::bracket::{Bracket, ReferenceChoice};
 use nalgebra::{Matrix2, Matrix3, SVector, Vector2};
 use std::path::Path;
 use std::sync::Arc;
@@ -264,6 +269,13 @@ fn photographs(exposures: [f64; 3], far: [[f64; 2]; 3], near: [[f64; 2]; 3]) -> 
     (0..3).map(take).collect()
 }
 
+/// The relief of three frames; the second is the reference.
+fn relief_of(pyramids: &[GreyPyramid], starts: &[Option<Start>], threads: usize) -> Option<Relief> {
+    let picture = Picture::of(&pyramids[1]);
+    let frames = observed(pyramids, 1, starts, &picture, patches, threads);
+    Some(relief(pyramids, 1, &frames, &picture)?.0)
+}
+
 const EXPOSURES: [f64; 3] = [-1.5, 0.0, 1.5];
 const FAR: [[f64; 2]; 3] = [[-2.0, 1.0], [0.0, 0.0], [3.0, 2.0]];
 const NEAR: [[f64; 2]; 3] = [[-7.0, 1.0], [0.0, 0.0], [3.0, 7.0]];
@@ -276,12 +288,13 @@ fn near_disc_and_far_scene_are_both_followed_on_any_number_of_threads() {
     let starts = [Some(start(0)), None, Some(start(2))];
     let on = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| relief(&pyramids, 1, &starts, threads).unwrap().0)
+        pool.install(|| relief_of(&pyramids, &starts, threads).unwrap())
     };
-    let found = Arc::new(on(2));
-    assert!([1, 5].map(on).iter().all(|other| other == &*found));
+    let found = on(2);
+    assert!([1, 5].map(on).iter().all(|other| *other == found));
+    let found = Followed::Depth(Arc::new(found));
     for i in [0, 2] {
-        let motion = Motion::none(SIZE).with_relief(Some(&found), i);
+        let motion = Motion::none(SIZE).following(Some(&found), i);
         let (mut right, mut all) = (0, 0);
         for (x, y) in (10..SIZE.1 - 10).step_by(3).flat_map(|y| (10..SIZE.0 - 10).step_by(3).map(move |x| (x, y))) {
             let (a, b) = (x as f64 - 150.0, y as f64 - 120.0);
@@ -314,7 +327,7 @@ fn near_disc_and_far_scene_are_both_followed_on_any_number_of_threads() {
         assert!(100 * masked < shown, "frame {i}: {masked} of {shown}");
     }
     let flat: Vec<GreyPyramid> = photographs(EXPOSURES, far, far).into_iter().map(GreyPyramid::new).collect();
-    assert!(relief(&flat, 1, &starts, 2).is_none(), "one shift fits everywhere");
+    assert!(relief_of(&flat, &starts, 2).is_none(), "one shift fits everywhere");
 }
 
 #[test]
@@ -325,14 +338,17 @@ fn bracket_is_aligned_at_its_depths_and_again_from_its_transforms() {
     let bracket = Bracket::new(frames, &ReferenceChoice::Number(2)).unwrap();
     let (first, warnings) = align(&bracket, &AlignOptions::default()).unwrap();
     assert!(warnings.is_empty(), "{warnings:?}");
-    assert!([0, 2].iter().all(|&i| first.is_at_depth(i) && first.placements[i].confidence() > 0.9), "{first:?}");
+    assert!(
+        [0, 2].iter().all(|&i| first.cause(i) == Some(Cause::Depth) && first.placements[i].confidence() > 0.9),
+        "{first:?}"
+    );
     let saved = SavedAlignment::of(&bracket, &first).to_json();
     let given = SavedAlignment::from_json(&saved, Path::new("t.json")).unwrap().frames;
     let (again, _) = align(&bracket, &AlignOptions { given, ..AlignOptions::default() }).unwrap();
-    assert!(again.relief == first.relief && again.overlap == first.overlap);
+    assert!(again.followed == first.followed && again.overlap == first.overlap);
     // A frame covers less of the reference if each pixel may have any of the depths.
     let (flat, warnings) = align(&bracket, &AlignOptions { local: Local::Off, ..AlignOptions::default() }).unwrap();
-    assert!(flat.relief.is_none() && !warnings.is_empty(), "{warnings:?}");
+    assert!(flat.followed.is_none() && !warnings.is_empty(), "{warnings:?}");
     let area = |alignment: &Alignment| alignment.overlap.width() * alignment.overlap.height();
     assert!(area(&first) < area(&flat));
 }

@@ -4,7 +4,7 @@
 //! the block matching of [`local`](crate::align::local), some hundred correlations per pixel of its level.
 
 use crate::align::agreement::TileDisplacement;
-use crate::align::depth::geometry::camera_motion::Coordinates;
+use crate::align::motion::coordinates::Coordinates;
 use nalgebra::{Matrix2, Vector2};
 
 /// Standard deviation of the noise of a correlation. The displacement of a patch is as uncertain as its correlation
@@ -15,20 +15,20 @@ const LEAST_ERROR: f64 = 0.15;
 
 /// The displacement of a patch of the reference in one frame.
 #[derive(Debug, Clone, Copy)]
-pub(in crate::align::depth) struct Observation {
+pub(super) struct Observation {
     /// Number of the patch; the same in all frames.
-    pub(in crate::align::depth) patch: usize,
+    pub(super) patch: usize,
     /// Centre of the patch, in [`Coordinates`].
-    pub(in crate::align::depth) at: [f64; 2],
+    pub(super) at: [f64; 2],
     /// Displacement from the position that the transform gives, in pixels of the level.
-    pub(in crate::align::depth) displacement: Vector2<f64>,
+    pub(super) displacement: Vector2<f64>,
     /// Inverse covariance of the displacement.
-    pub(in crate::align::depth) precision: Matrix2<f64>,
+    pub(super) precision: Matrix2<f64>,
 }
 
 impl Observation {
     /// The observation of patch `patch` with the displacement `found`.
-    pub(in crate::align::depth) fn new(patch: usize, found: &TileDisplacement, coordinates: &Coordinates) -> Self {
+    pub(super) fn new(patch: usize, found: &TileDisplacement, coordinates: &Coordinates) -> Self {
         let [xx, xy, yy] = found.sharpness;
         // Along an edge, the displacement is unknown. There, the precision is nearly 0.
         let least = 1e-6 + 1e-3 * (xx + yy);
@@ -44,7 +44,7 @@ impl Observation {
     }
 
     /// Squared distance of the displacement `d` from the measured one, in variances.
-    pub(in crate::align::depth) fn misfit(&self, d: [f64; 2]) -> f64 {
+    pub(super) fn misfit(&self, d: [f64; 2]) -> f64 {
         let r = self.displacement - Vector2::from(d);
         (self.precision * r).dot(&r)
     }

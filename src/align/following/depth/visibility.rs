@@ -8,7 +8,7 @@
 //! nearer one. Displacements alone do not tell which of two depths is nearer, but the conflicts do: the frame has the
 //! grey value of the nearer pixel.
 
-use crate::align::depth::cost_volume::is_usable;
+use crate::align::following::depth::cost_volume::is_usable;
 use crate::align::motion::camera::Camera;
 use crate::align::photometric::IntensityMap;
 use crate::plane::Plane;

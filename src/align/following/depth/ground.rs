@@ -6,7 +6,7 @@
 //! Where no frame shows any detail, as in a clipped sky behind branches, every depth explains the frames. The ground is
 //! the best guess: near things have edges, and end at them.
 
-use crate::align::depth::semi_global::Choice;
+use crate::align::following::depth::semi_global::Choice;
 use crate::plane::Plane;
 use crate::statistics::random;
 use nalgebra::{Matrix3, Vector3};

@@ -4,52 +4,27 @@
 //! three dot products and a division.
 
 use crate::align::motion::camera::Camera;
+use crate::align::motion::coordinates::{Coordinates, by_homography};
 use nalgebra::{Matrix3, Matrix3x4, RowVector4, SVector, Vector4};
 
 /// Number of parameters of a [`CameraMotion`].
-pub(in crate::align::depth) const PARAMETERS: usize = 11;
-/// Expected size of the parameters of a motion, in pixels of the level. It matters only for parameters that the
-/// observations leave open, for example if all observations of a frame are in one corner.
-pub(in crate::align::depth) const EXPECTED_PX: f64 = 5.0;
-
-/// The coordinates in which motions are fitted: the centre of the picture is (0, 0), half the long side is 1.
-#[derive(Debug, Clone, Copy)]
-pub(in crate::align::depth) struct Coordinates {
-    centre: [f64; 2],
-    /// Length of the unit, in pixels.
-    pub(in crate::align::depth) unit: f64,
-}
-
-impl Coordinates {
-    pub(in crate::align::depth) fn new((width, height): (usize, usize)) -> Self {
-        let [right, bottom] = [width, height].map(|length| length as f64 - 1.0);
-        Coordinates { centre: [right / 2.0, bottom / 2.0], unit: (right.max(bottom) / 2.0).max(1.0) }
-    }
-
-    pub(in crate::align::depth) fn of(&self, [x, y]: [f64; 2]) -> [f64; 2] {
-        [(x - self.centre[0]) / self.unit, (y - self.centre[1]) / self.unit]
-    }
-
-    fn matrix(&self) -> Matrix3<f64> {
-        let [x, y] = self.centre;
-        Matrix3::new(1.0, 0.0, -x, 0.0, 1.0, -y, 0.0, 0.0, self.unit) / self.unit
-    }
-
-    fn inverse(&self) -> Matrix3<f64> {
-        let [x, y] = self.centre;
-        Matrix3::new(self.unit, 0.0, x, 0.0, self.unit, y, 0.0, 0.0, 1.0)
-    }
-}
-
+pub(in crate::align::following::depth) const PARAMETERS: usize = 11;
 /// The motion of a frame relative to a homography from which displacements were measured: a small second homography (8
 /// parameters) and an epipole (3). All parameters are displacements in pixels: at the distance of one unit from the
 /// centre, and, for the epipole, of a pixel with relative depth 1.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(in crate::align::depth) struct CameraMotion(pub(in crate::align::depth) SVector<f64, PARAMETERS>);
+pub(in crate::align::following::depth) struct CameraMotion(
+    pub(in crate::align::following::depth) SVector<f64, PARAMETERS>,
+);
 
 impl CameraMotion {
+    /// The motion without depth, by a small homography.
+    pub(in crate::align::following) fn flat(homography: &SVector<f64, 8>) -> Self {
+        CameraMotion(SVector::from_fn(|i, _| homography.get(i).copied().unwrap_or(0.0)))
+    }
+
     /// Displacement at the position `at`, in [`Coordinates`], of a pixel with relative depth `q`. In pixels.
-    pub(in crate::align::depth) fn displacement(&self, [u, v]: [f64; 2], q: f64, unit: f64) -> [f64; 2] {
+    pub(in crate::align::following::depth) fn displacement(&self, [u, v]: [f64; 2], q: f64, unit: f64) -> [f64; 2] {
         let m = self.matrix(unit) * Vector4::new(u, v, 1.0, q);
         [(m.x / m.z - u) * unit, (m.y / m.z - v) * unit]
     }
@@ -66,20 +41,15 @@ impl CameraMotion {
 
     /// The camera with this motion relative to the homography `h`, which maps pixels of the reference to pixels of the
     /// frame.
-    pub(in crate::align::depth) fn camera(&self, h: &Matrix3<f64>, coordinates: &Coordinates) -> Camera {
+    pub(in crate::align::following::depth) fn camera(&self, h: &Matrix3<f64>, coordinates: &Coordinates) -> Camera {
         let own = Camera::new(self.matrix(coordinates.unit));
         own.between(&coordinates.matrix(), &(h * coordinates.inverse()))
     }
 
-    /// Derivatives of the displacement by the parameters of the homography at (u, v), for small motions: of x and of y.
-    pub(in crate::align::depth) fn by_homography([u, v]: [f64; 2]) -> [[f64; 8]; 2] {
-        [[u, v, 1.0, 0.0, 0.0, 0.0, u * u, u * v], [0.0, 0.0, 0.0, u, v, 1.0, u * v, v * v]]
-    }
-
     /// Derivatives of the displacement by all parameters at (u, v), for small motions and a pixel with relative depth
     /// `q`: of x and of y.
-    pub(in crate::align::depth) fn by_parameters([u, v]: [f64; 2], q: f64) -> [SVector<f64, PARAMETERS>; 2] {
-        let [x, y] = Self::by_homography([u, v]);
+    pub(in crate::align::following::depth) fn by_parameters([u, v]: [f64; 2], q: f64) -> [SVector<f64, PARAMETERS>; 2] {
+        let [x, y] = by_homography([u, v]);
         let all = |eight: [f64; 8], depth: [f64; 3]| {
             SVector::from_fn(|i, _| if i < eight.len() { eight[i] } else { q * depth[i - eight.len()] })
         };
@@ -87,7 +57,7 @@ impl CameraMotion {
     }
 
     /// Derivative of the displacement by the relative depth at (u, v), for small motions.
-    pub(in crate::align::depth) fn by_depth(&self, [u, v]: [f64; 2]) -> [f64; 2] {
+    pub(in crate::align::following::depth) fn by_depth(&self, [u, v]: [f64; 2]) -> [f64; 2] {
         [self.0[8] - self.0[10] * u, self.0[9] - self.0[10] * v]
     }
 }

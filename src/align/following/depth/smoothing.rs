@@ -8,7 +8,7 @@
 //! min over q and v of sum a1 w |grad q - v| + a0 |E v| + c |q - q0|: v is the slope of the surface, E v the
 //! symmetrised derivative of v, w is small at edges of the picture, c is the certainty of the label q0.
 
-use crate::align::depth::semi_global::Choice;
+use crate::align::following::depth::semi_global::Choice;
 use crate::plane::Plane;
 use crate::simd::{Loops, at_least, at_most, vectorised};
 

@@ -21,24 +21,20 @@ mod smoothing;
 mod upsampling;
 mod visibility;
 
-use crate::align::depth::cost_volume::{Compared, CostVolume, Labels};
-use crate::align::depth::geometry::camera_motion::{CameraMotion, Coordinates};
-use crate::align::depth::geometry::observations::Observation;
-use crate::align::depth::geometry::{Explained, Geometry, LEAST_DISPLACED};
-use crate::align::depth::ground::Ground;
-use crate::align::depth::semi_global::Choice;
-use crate::align::grey::{GreyPyramid, finest_level, measured_level};
-use crate::align::ladder::Searched;
-use crate::align::local::patches;
+use crate::align::following::depth::cost_volume::{Compared, CostVolume, Labels};
+use crate::align::following::depth::geometry::Geometry;
+use crate::align::following::depth::geometry::camera_motion::CameraMotion;
+use crate::align::following::depth::ground::Ground;
+use crate::align::following::depth::semi_global::Choice;
+use crate::align::following::explained::Explained;
+use crate::align::following::{Observed, Picture};
+use crate::align::grey::{GreyPyramid, finest_level};
 use crate::align::motion::camera::Camera;
 use crate::align::motion::relief::{Relief, View};
 use crate::align::photometric::ToneTables;
-use crate::align::refinement::FramePair;
-use crate::align::result::{Displaced, Estimate, Placement, RejectedBy};
-use crate::align::transform::{Model, Transform, full_to_level, level_to_full, on_level};
-use crate::bracket::Bracket;
+use crate::align::transform::{full_to_level, level_to_full};
 use crate::budget::Demand;
-use crate::plane::{Plane, map_at_once};
+use crate::plane::Plane;
 use nalgebra::Matrix3;
 
 /// Distance between labels: the displacement in the frame that moves most, in pixels of the level.
@@ -51,114 +47,27 @@ const OUTLYING: f64 = 0.005;
 const STRIP_PIXELS: usize = Demand::STRIP_PIXELS as usize;
 /// Rows above and below a strip that are matched with it, because a label depends on its neighbours.
 const BESIDE: usize = 16;
-/// If depth leaves this share of the patches of a frame unexplained, its confidence is one half.
-const UNEXPLAINED_HALVES: f64 = 0.1;
 /// Depths of neighbours differ by at least this if they are on different surfaces: the displacement in the frame that
 /// moves most, in pixels of the level.
 const JUMP_PX: f64 = 1.0;
 
-/// Measures the depth of the scene of `bracket`; none if one homography for each frame explains it.
-///
-/// With depth, the errors and confidences of the placed frames are computed again. A frame that was rejected because
-/// parts of it disagree with its transform is placed if they agree with the depth that the placed frames show.
-pub(crate) fn follow(bracket: &Bracket, searched: &mut Searched) -> Option<Relief> {
-    let reference = bracket.reference_index();
-    let may_have_depth = |placement: &Placement| match placement {
-        // The transform was given, so it was not checked locally.
-        Placement::Placed(Estimate { displaced: None, .. }) => true,
-        Placement::Placed(estimate) => estimate.displaced.is_some_and(|d| d.fraction >= LEAST_DISPLACED),
-        _ => false,
-    };
-    if !searched.placements.iter().any(may_have_depth) {
-        return None;
-    }
-    let starts: Vec<Option<Start>> = (0..searched.placements.len())
-        .map(|i| Start::of(&searched.placements[i], searched.unaccepted[i]).filter(|_| i != reference))
-        .collect();
-    let (relief, explained) = relief(&searched.pyramids, reference, &starts, bracket.at_once())?;
-    let level = measured_level(&searched.pyramids[reference]);
-    let scale = level_to_full(level)[(0, 0)];
-    for ((placement, start), (i, explained)) in
-        searched.placements.iter_mut().zip(&starts).zip(explained.iter().enumerate())
-    {
-        if let (Some(start), Some(_)) = (start, relief.view(i)) {
-            *placement = placed(start, explained, scale);
-        }
-    }
-    Some(relief)
-}
-
-/// The transform from which the displacements of a frame are measured.
-struct Start {
-    transform: Transform,
-    /// Whether the frame was rejected because parts of it disagree with the transform.
-    is_rejected: bool,
-}
-
-impl Start {
-    fn of(placement: &Placement, unaccepted: Option<Transform>) -> Option<Self> {
-        match placement {
-            // A frame from a tripod is not resampled only because things moved in the scene.
-            Placement::Placed(estimate) if estimate.transform == Transform::Identity => None,
-            Placement::Placed(estimate) => Some(Start { transform: estimate.transform, is_rejected: false }),
-            Placement::Rejected { by: RejectedBy::Alignment, .. } => {
-                Some(Start { transform: unaccepted?, is_rejected: true })
-            }
-            _ => None,
-        }
-    }
-}
-
-/// The placement of a frame that depth explains. `scale` is the side of a pixel of the level, in pixels.
-fn placed(start: &Start, explained: &Explained, scale: f64) -> Placement {
-    let (fraction, px) = (explained.unexplained(), scale * explained.off);
-    let square = |v: f64| v * v;
-    Placement::Placed(Estimate {
-        transform: start.transform,
-        model: Model::of(&start.transform),
-        error_px: Some(scale * explained.rms),
-        confidence: 1.0 / (1.0 + square(square(fraction / UNEXPLAINED_HALVES))),
-        displaced: Some(Displaced { fraction, px }),
-        reason: None,
-    })
-}
-
-/// Like [`follow`]; also returns how well depth explains each frame.
-fn relief(
+/// Measures the depth of the scene; none if depth does not explain what homographies leave unexplained. A frame that
+/// was rejected gets a view if it agrees with the depth that the other frames show. Also returns how well depth
+/// explains each frame.
+pub(super) fn relief(
     pyramids: &[GreyPyramid],
     reference: usize,
-    starts: &[Option<Start>],
-    at_once: usize,
+    frames: &[Option<Observed>],
+    picture: &Picture,
 ) -> Option<(Relief, Vec<Explained>)> {
-    let (level, (width, height)) = (measured_level(&pyramids[reference]), pyramids[reference].size(0));
-    let coordinates = Coordinates::new(pyramids[reference].size(level));
-    let observed: Vec<Vec<Observation>> = map_at_once(pyramids.len(), at_once, |i| {
-        let Some(Start { transform, .. }) = &starts[i] else { return Vec::new() };
-        let pair = FramePair::new(&pyramids[reference], &pyramids[i], transform);
-        let found = patches(&pair, &transform.matrix(width, height));
-        found.iter().map(|(patch, d)| Observation::new(*patch, d, &coordinates)).collect()
-    });
-    let patches = observed.iter().flatten().map(|s| s.patch + 1).max()?;
-    let is_rejected = |i: usize| starts[i].as_ref().is_some_and(|start| start.is_rejected);
-    let mut frames: Vec<&[Observation]> =
-        (0..observed.len()).map(|i| if is_rejected(i) { &[][..] } else { &observed[i] }).collect();
-    let mut geometry = geometry::fit(&frames, patches, coordinates.unit).filter(Geometry::is_depth)?;
-    let is_placed = |i: &usize| geometry.explains(&observed[*i], coordinates.unit).is_convincing();
-    let placed: Vec<usize> = (0..frames.len()).filter(|&i| is_rejected(i)).filter(is_placed).collect();
-    if !placed.is_empty() {
-        placed.into_iter().for_each(|i| frames[i] = &observed[i]);
-        geometry = geometry::fit(&frames, patches, coordinates.unit).filter(Geometry::is_depth)?;
-    }
+    let (level, coordinates) = (picture.level, &picture.coordinates);
+    let geometry = geometry(frames, coordinates.unit)?;
     let labels = labels(&geometry)?;
-    let camera = |i: usize| {
-        let h = on_level(&starts[i].as_ref()?.transform.matrix(width, height), level);
-        Some(geometry.motions[i].as_ref()?.camera(&h, &coordinates))
-    };
+    let camera = |i: usize| Some(geometry.motions[i].as_ref()?.camera(&frames[i].as_ref()?.homography, coordinates));
     let cameras: Vec<Option<Camera>> = (0..pyramids.len()).map(camera).collect();
     let greys: Vec<&Plane<u8>> = pyramids.iter().map(|pyramid| pyramid.level(level)).collect();
     let compared = |i: usize| {
-        let h = on_level(&starts[i].as_ref()?.transform.matrix(width, height), level);
-        let tones = ToneTables::between(greys[reference], greys[i], &h);
+        let tones = ToneTables::between(greys[reference], greys[i], &frames[i].as_ref()?.homography);
         Some(Compared::new(greys[reference], greys[i], &tones, cameras[i]?))
     };
     let compared: Vec<Compared> = (0..pyramids.len()).filter_map(compared).collect();
@@ -180,6 +89,28 @@ fn relief(
     let hidden = visibility::hidden(&depths, greys[reference], &greys, &of_finest);
     let views = full.into_iter().zip(hidden).map(|(camera, hidden)| Some(View { camera: camera?, hidden: hidden? }));
     Some((Relief::new(finest, depths, jump, views.collect()), geometry.explained))
+}
+
+/// The motions of the frames, and the depths of the patches: from the placed frames first, then also from the rejected
+/// frames that agree with these depths.
+fn geometry(frames: &[Option<Observed>], unit: f64) -> Option<Geometry> {
+    let patches = frames.iter().flatten().flat_map(|f| &f.observations).map(|o| o.patch + 1).max()?;
+    let placed = |frame: &'_ Option<Observed>| frame.as_ref().is_some_and(|frame| !frame.is_rejected);
+    let mut is_used: Vec<bool> = frames.iter().map(placed).collect();
+    let fit = |is_used: &[bool]| {
+        let used = frames.iter().zip(is_used);
+        let used = used.map(|(frame, is)| frame.as_ref().filter(|_| *is).map_or(&[][..], |f| &f.observations));
+        geometry::fit(&used.collect::<Vec<_>>(), patches, unit).filter(Geometry::is_depth)
+    };
+    let geometry = fit(&is_used)?;
+    let is_convincing = |frame: &&Observed| geometry.explains(&frame.observations, unit).is_convincing();
+    let joins = |(frame, is): (&'_ Option<Observed>, &bool)| !is && frame.as_ref().filter(is_convincing).is_some();
+    let joining: Vec<bool> = frames.iter().zip(&is_used).map(joins).collect();
+    if !joining.contains(&true) {
+        return Some(geometry);
+    }
+    is_used.iter_mut().zip(joining).for_each(|(is, joins)| *is |= joins);
+    fit(&is_used)
 }
 
 /// Returns the label of each pixel of the `reference`, with a fraction.

@@ -6,7 +6,7 @@
 //! Mutual Information", PAMI 30(2), 2008, section 2.3: along each of eight directions,
 //! L(p, d) = C(p, d) + min(L(p', d), L(p', d +- 1) + P1, min L(p', k) + P2) - min L(p', k).
 
-use crate::align::depth::cost_volume::CostVolume;
+use crate::align::following::depth::cost_volume::CostVolume;
 use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};
 use rayon::prelude::*;

@@ -5,20 +5,19 @@
 //! displacements by depth have nearly the same direction, and the displacements across it are those of a homography.
 //! All directions are tried; least absolute errors by iteratively reweighted least squares.
 
-use crate::align::depth::geometry::camera_motion::{CameraMotion, EXPECTED_PX, PARAMETERS};
-use crate::align::depth::geometry::observations::Observation;
-use nalgebra::{SMatrix, SVector, Vector2};
+use crate::align::following::depth::geometry::camera_motion::CameraMotion;
+use crate::align::following::homography::{self, Homography, absolute, basis, solved};
+use crate::align::following::observations::Observation;
+use nalgebra::{SMatrix, Vector2};
 use std::f64::consts::PI;
 
 /// Number of directions that are tried over half a turn.
 const DIRECTIONS: usize = 36;
-/// Number of rounds in which weights are computed again: for the homography, and for each direction.
-const ROUNDS: (usize, usize) = (10, 6);
+/// Number of rounds in which weights are computed again.
+const ROUNDS: usize = 6;
 /// Strength of the pull towards the homography without depth, per observation. Along the direction of depth, it alone
 /// determines the homography.
 const HOLD: f64 = 1e-3;
-
-type Homography = SVector<f64, 8>;
 
 /// The result of the search for the direction.
 #[derive(Debug, Clone)]
@@ -35,9 +34,7 @@ pub(super) struct Start {
 impl Start {
     /// The motion without depth.
     pub(super) fn without_depth(&self) -> CameraMotion {
-        let mut all = SVector::<f64, PARAMETERS>::zeros();
-        all.fixed_rows_mut::<8>(0).copy_from(&self.plain);
-        CameraMotion(all)
+        CameraMotion::flat(&self.plain)
     }
 
     /// Displacement of a patch along the direction, in pixels: its relative depth.
@@ -48,18 +45,9 @@ impl Start {
     }
 }
 
-fn basis(observation: &Observation) -> SMatrix<f64, 2, 8> {
-    SMatrix::from_fn(|row, column| CameraMotion::by_homography(observation.at)[row][column])
-}
-
-/// The absolute error of a misfit (in variances), smooth at 0.
-fn absolute(misfit: f64) -> f64 {
-    (misfit + 1.0).sqrt() - 1.0
-}
-
 /// Searches for the direction in which depth displaces the patches.
 pub(super) fn search(observations: &[Observation]) -> Start {
-    let plain = homography(observations);
+    let plain = homography::fit(observations.iter());
     let of_plain = |s: &Observation| {
         let d = basis(s) * plain;
         absolute(s.misfit([d.x, d.y]))
@@ -74,24 +62,6 @@ pub(super) fn search(observations: &[Observation]) -> Start {
     let start = (all, plain, Vector2::x());
     let (error, across, direction) = tried.fold(start, |best, other| if other.0 < best.0 { other } else { best });
     Start { plain, across, direction, gain: (all - error) / observations.len().max(1) as f64 }
-}
-
-/// The homography of least absolute errors.
-fn homography(observations: &[Observation]) -> Homography {
-    let mut h = Homography::zeros();
-    for _ in 0..ROUNDS.0 {
-        let (mut normal, mut right) = (SMatrix::<f64, 8, 8>::zeros(), Homography::zeros());
-        for observation in observations {
-            let basis = basis(observation);
-            let d = basis * h;
-            let weight = 1.0 / (absolute(observation.misfit([d.x, d.y])) + 1.0);
-            let weighed = basis.transpose() * (observation.precision * weight);
-            normal += weighed * basis;
-            right += weighed * observation.displacement;
-        }
-        h = solved(normal, right, 1.0 / (EXPECTED_PX * EXPECTED_PX), &Homography::zeros());
-    }
-    h
 }
 
 /// The homography that explains the displacements across `direction`, near `plain`, and the sum of its errors.
@@ -112,7 +82,7 @@ fn across(observations: &[Observation], plain: &Homography, direction: Vector2<f
         r * r * precision
     };
     let mut h = *plain;
-    for round in 0..ROUNDS.1 {
+    for round in 0..ROUNDS {
         let (mut normal, mut right) = (SMatrix::<f64, 8, 8>::zeros(), Homography::zeros());
         for row in &rows {
             let weight = if round == 0 { 1.0 } else { 1.0 / (absolute(misfit(&h, row)) + 1.0) };
@@ -123,13 +93,4 @@ fn across(observations: &[Observation], plain: &Homography, direction: Vector2<f
         h = solved(normal, right, HOLD * observations.len() as f64, plain);
     }
     (h, rows.iter().map(|row| absolute(misfit(&h, row))).sum())
-}
-
-/// Solves the normal equations, with a pull towards `towards` of strength `hold`.
-fn solved(mut normal: SMatrix<f64, 8, 8>, mut right: Homography, hold: f64, towards: &Homography) -> Homography {
-    for i in 0..8 {
-        normal[(i, i)] += hold;
-    }
-    right += towards * hold;
-    normal.cholesky().map_or(*towards, |c| c.solve(&right))
 }
