@@ -43,6 +43,25 @@ fn share_and_displacement_of_a_near_object_are_measured() {
 }
 
 #[test]
+fn leaves_that_move_each_by_itself_are_displaced() {
+    let scene = Scene::new(57);
+    let shot = |ev, seed| Shot { noise: 1.5, seed, ..Shot::at(ev) };
+    let reference = GreyPyramid::new(scene.photograph(SIZE, &Transform::Identity, shot(0.0, 1)));
+    // In the right half, squares of 36 pixels are displaced by 2.6 pixels, each in another direction. Single patches are
+    // searched within 3 pixels.
+    let moved = |x: f64, y: f64| {
+        let [column, row] = [x, y].map(|v| (v / 36.0).floor() as i64);
+        let (sin, cos) = libm::sincos(6.3 * uniform(4, column, row));
+        if x < 320.0 { scene.radiance(x, y) } else { scene.radiance(x + 2.6 * cos, y + 2.6 * sin) }
+    };
+    let frame = GreyPyramid::new(photograph(SIZE, &Transform::Identity, shot(1.0, 2), moved));
+    let pair = FramePair::new(&reference, &frame, &Transform::Identity);
+    let found = LocalField::new(&pair, &Transform::Identity).misfit();
+    // Many patches show several squares, and do not match.
+    assert!(found.displaced_surely > 0.05 && (found.displaced.px - 2.6).abs() < 0.3, "{found:?}");
+}
+
+#[test]
 fn frame_that_its_transform_fits_has_no_misfit_whatever_its_noise() {
     let truth = rigid(-4.0, 1.0, -0.3);
     for noise in [0.0, 1.5, 6.0, 15.0] {
