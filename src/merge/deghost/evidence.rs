@@ -9,7 +9,7 @@
 //!
 //! - the noise of the code values of frame and standard, converted to radiance by the slope of the response;
 //! - a share of the radiance, explained below;
-//! - the gradient times `ASTRAY` pixels, for errors of alignment and differences of sharpness at edges.
+//! - the gradient times some pixels, for errors of alignment and differences of sharpness at edges: see [`astray`].
 //!
 //! The share of the radiance is the sum of two terms. The first term is the radiance times the largest of these
 //! fractions:
@@ -54,8 +54,13 @@ const LEAST: f32 = 0.06;
 const SHIFTED: f32 = 0.25;
 /// Factor from a small relative difference to octaves: log2(1 + x) is about x log2(e).
 const OCTAVES: f32 = std::f32::consts::LOG2_E;
-/// Displacement of an edge, in pixels, that is expected without motion.
-const ASTRAY: f32 = 1.2;
+/// Displacement of an edge, in pixels, that is expected without motion, because the frames differ in sharpness.
+const BLURRED: f32 = 0.3;
+/// How much farther an edge may be displaced than the estimated error of the alignment, which is a mean over the whole
+/// picture.
+const ASTRAY: f32 = 4.0;
+/// An edge is displaced by at most this without motion, in pixels. Larger estimates of the error are due to motion.
+const MOST_ASTRAY: f32 = 1.2;
 /// Differences are limited to this many standard deviations.
 const ENOUGH: f32 = 8.0;
 /// Factor on the mean difference at each scale, from the smallest to the largest, because means over more cells vary
@@ -81,7 +86,8 @@ struct Pair<'a> {
     standard: &'a Plane<Cell>,
     frame: &'a Plane<Cell>,
     meanings: &'a [&'a Meaning],
-    side: usize,
+    /// Displacement of edges without motion, in cells.
+    astray: f32,
     usual: Usual,
 }
 
@@ -123,7 +129,7 @@ impl Pair<'_> {
     /// the frame is compared with; positive if the frame is brighter.
     fn differences(&self) -> Plane<[f32; 3]> {
         let (width, height) = (self.standard.width(), self.standard.height());
-        let astray = (ASTRAY / self.side as f32) * (ASTRAY / self.side as f32);
+        let astray = self.astray * self.astray;
         Plane::from_rows(width, height, |y, row| {
             let three = [y.max(1) - 1, y, (y + 1).min(height - 1)];
             let (of_standard, of_frame) = (three.map(|y| self.standard.row(y)), three.map(|y| self.frame.row(y)));
@@ -231,16 +237,24 @@ fn halved(plane: &Plane<[f32; 3]>) -> Plane<[f32; 3]> {
     })
 }
 
-/// Returns for each cell whether `frame` shows something else than `standard`. `limits` are two thresholds in standard
+/// The displacement of an edge, in pixels, that is expected without motion, if `error_px` is the estimated error of the
+/// alignment; none if it was not estimated.
+pub fn astray(error_px: Option<f64>) -> f32 {
+    let error = error_px.map_or(MOST_ASTRAY, |px| ASTRAY * px as f32);
+    (BLURRED * BLURRED + error * error).sqrt().min(MOST_ASTRAY)
+}
+
+/// Returns for each cell whether `frame` shows something else than `standard`. `astray` is
+/// the displacement of edges without motion, in cells. `limits` are two thresholds in standard
 /// deviations: a cell that reaches the first may have moved; a cell that reaches the second differs certainly.
 pub fn moved(
     standard: &Plane<Cell>,
     frame: &Plane<Cell>,
     meanings: &[&Meaning],
-    side: usize,
+    astray: f32,
     limits: (f32, f32),
 ) -> Plane<bool> {
-    let pair = Pair { standard, frame, meanings, side, usual: Usual::of(standard, frame) };
+    let pair = Pair { standard, frame, meanings, astray, usual: Usual::of(standard, frame) };
     let strengths = strengths(&pair.differences());
     let (width, height) = (strengths.width(), strengths.height());
     let reach = |least: f32| {
@@ -333,6 +347,13 @@ mod tests {
             // The tolerance allows for the rounding errors of some ten operations on values below 16.
             assert!((f64::from(fast.at(x as usize, y as usize)[1]) - sum).abs() < 1e-5);
         }
+    }
+
+    #[test]
+    fn edges_may_be_displaced_more_if_the_alignment_is_uncertain() {
+        // sqrt(0.3^2 + (4 x 0.1)^2) = 0.5, and never more than 1.2.
+        assert!((astray(Some(0.1)) - 0.5).abs() < 1e-6);
+        assert_eq!([Some(0.0), Some(5.0), None].map(astray), [0.3, 1.2, 1.2]);
     }
 
     #[test]

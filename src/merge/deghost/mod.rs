@@ -144,6 +144,8 @@ pub(super) struct Layer<'a> {
     pub(super) frame: &'a Frame,
     motion: Motion,
     pub(super) meaning: Meaning,
+    /// Displacement of edges, in pixels, that is expected without motion.
+    astray_px: f32,
     /// Whether the frame's transform is [assumed](Placement::Assumed). Such a frame only fills what is clipped or black
     /// in all other frames, so it is not compared.
     is_assumed: bool,
@@ -160,6 +162,7 @@ pub(super) fn layers<'a>(
         frame,
         motion,
         meaning: Meaning::of(curve, frame.exposure.relative() / unit),
+        astray_px: evidence::astray(alignment.placements[index].error_px()),
         is_assumed: matches!(alignment.placements[index], Placement::Assumed(_)),
     };
     let reference = alignment.placed(bracket).position(|(index, ..)| index == bracket.reference_index());
@@ -211,7 +214,8 @@ pub fn find(
         let mut standard = shown.clone();
         for i in outwards.into_iter().filter(|&i| !layers[i].is_assumed) {
             let frame = seen(i)?;
-            let moved = region::closed(&evidence::moved(&standard, &frame, &meanings, side, limits(strength)), GAP);
+            let astray = layers[i].astray_px / side as f32;
+            let moved = region::closed(&evidence::moved(&standard, &frame, &meanings, astray, limits(strength)), GAP);
             take_over(&mut standard, &frame, &moved, &meanings);
             let mut kept = region::kept(&moved, MARGIN, FADE);
             if i < reference {

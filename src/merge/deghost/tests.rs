@@ -314,7 +314,13 @@ fn cells_are_the_means_of_exposures() {
         for side in [2, 4] {
             let seen = |transform| {
                 let (motion, meaning) = (Motion::new(&transform, (width, height)), Meaning::of(&curve, 0.5));
-                cells::average(&Layer { frame: &frame, motion, meaning, is_assumed: false }, region, side, 0).unwrap()
+                cells::average(
+                    &Layer { frame: &frame, motion, meaning, astray_px: 1.2, is_assumed: false },
+                    region,
+                    side,
+                    0,
+                )
+                .unwrap()
             };
             let cells = seen(Transform::Identity);
             // A shift by 0 pixels, which uses other code, gives the same cells.
@@ -366,8 +372,13 @@ fn of_large_cells_a_quarter_is_looked_at() {
     let codes: Vec<u8> = (0..64).flat_map(|i| [if (i / 8, i % 8) == (1, 1) { 255 } else { 100 }; 3]).collect();
     let frame = Frame::new("a".into(), 8, 8, Samples::Eight(codes), Exposure::given(0.0).unwrap());
     let curve = ResponseCurve::srgb();
-    let layer =
-        Layer { frame: &frame, motion: Motion::none((8, 8)), meaning: Meaning::of(&curve, 1.0), is_assumed: false };
+    let layer = Layer {
+        frame: &frame,
+        motion: Motion::none((8, 8)),
+        meaning: Meaning::of(&curve, 1.0),
+        astray_px: 1.2,
+        is_assumed: false,
+    };
     let cell = cells::average(&layer, Rect { x0: 0, y0: 0, x1: 8, y1: 8 }, 8, 0).unwrap().at(0, 0);
     // Four blocks of 2x2 pixels are read; one of their 16 pixels is clipped.
     let mean = (15.0 * curve.exposure(0, 100.0) + curve.exposure(0, 255.0)) / 16.0;
