@@ -63,10 +63,10 @@ impl Explained {
         let mut explained = Explained::default();
         let (mut squares, mut precisions, mut off) = (0.0, 0.0, Vec::new());
         for (observation, d) in observations.iter().filter_map(|o| Some((o, predicted(o)?))) {
+            let (plain, misfit) = (observation.misfit(plain(observation)), observation.misfit(d));
             explained.count += 1;
-            explained.by_homography += usize::from(observation.misfit(plain(observation)) > MOST_MISFIT);
-            let misfit = observation.misfit(d);
-            explained.cost_by_homography += bounded(observation.misfit(plain(observation)));
+            explained.by_homography += usize::from(plain > MOST_MISFIT);
+            explained.cost_by_homography += bounded(plain);
             explained.cost_by_motion += bounded(misfit);
             if misfit > MOST_MISFIT {
                 off.push((observation.displacement - Vector2::from(d)).norm());

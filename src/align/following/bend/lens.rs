@@ -112,54 +112,69 @@ impl Normal {
     }
 }
 
+/// The coefficients of the reference, and the parameters of each frame that is observed.
+struct Fit {
+    shared: Vector2<f64>,
+    own: Vec<Option<Parameters>>,
+}
+
+impl Fit {
+    /// One Gauss-Newton step; none if the observations do not determine it.
+    fn step(&mut self, frames: &[Option<Frame>], weight: &impl Fn(f64) -> f64) -> Option<()> {
+        let held = Vector2::from(EXPECTED.1.map(|e| 1.0 / (e * e)));
+        let (mut normal, mut right) = (Matrix2::from_diagonal(&held), -held.component_mul(&self.shared));
+        // For each frame, its own step is `by_right - by_shared * step`, with the shared step.
+        let mut eliminated = Vec::with_capacity(frames.len());
+        for (frame, own) in frames.iter().zip(&self.own) {
+            let (Some(frame), Some(own)) = (frame, own) else {
+                eliminated.push(None);
+                continue;
+            };
+            let of = Normal::of(frame, self.shared, own, weight);
+            let inverse = of.own.try_inverse()?;
+            let (by_right, by_shared) = (inverse * of.own_right, inverse * of.between);
+            normal += of.shared - of.between.transpose() * by_shared;
+            right += of.shared_right - of.between.transpose() * by_right;
+            eliminated.push(Some((by_right, by_shared)));
+        }
+        let step = normal.try_inverse()? * right;
+        self.shared += step;
+        for (own, eliminated) in self.own.iter_mut().zip(eliminated) {
+            if let (Some(own), Some((by_right, by_shared))) = (own, eliminated) {
+                *own += by_right - by_shared * step;
+            }
+        }
+        Some(())
+    }
+}
+
 /// Fits the distortion of the lens; none if no frame has enough observations.
 pub(in crate::align::following) fn fit(frames: &[Option<Observed>], picture: &Picture) -> Option<Bends> {
     let coordinates = &picture.coordinates;
-    let usable = |observed: &&Observed| !observed.is_rejected && observed.observations.len() >= LEAST_OBSERVED;
-    let frames: Vec<Option<Frame>> = frames
-        .iter()
-        .map(|o| o.as_ref().filter(usable).and_then(|observed| Frame::new(observed, coordinates)))
-        .collect();
-    let plain: Vec<Option<Parameters>> = frames
-        .iter()
-        .map(|frame| {
-            let start = homography::fit(frame.as_ref()?.observed.some());
-            Some(SVector::from_fn(|i, _| if i < 8 { start[i] } else { 0.0 }))
-        })
-        .collect();
+    let is_usable = |observed: &&Observed| !observed.is_rejected && observed.observations.len() >= LEAST_OBSERVED;
+    let usable = frames.iter().map(|observed| observed.as_ref().filter(is_usable));
+    let frames: Vec<Option<Frame>> = usable.map(|observed| Frame::new(observed?, coordinates)).collect();
     frames.iter().flatten().next()?;
-    let (mut shared, mut own) = (Vector2::zeros(), plain.clone());
+    let homography = |frame: &Option<Frame>| {
+        let start = homography::fit(frame.as_ref()?.observed.some());
+        Some(SVector::from_fn(|i, _| start.get(i).copied().unwrap_or(0.0)))
+    };
+    let plain: Vec<Option<Parameters>> = frames.iter().map(homography).collect();
+    let mut fit = Fit { shared: Vector2::zeros(), own: plain.clone() };
     for round in (0..ROUNDS).step_by(2) {
-        let weight = weight(round);
-        let held = Vector2::from(EXPECTED.1.map(|e| 1.0 / (e * e)));
-        let mut reduced = (Matrix2::from_diagonal(&held), -held.component_mul(&shared));
-        let mut eliminated = vec![None; frames.len()];
-        for ((frame, own), eliminated) in frames.iter().zip(&own).zip(&mut eliminated) {
-            let (Some(frame), Some(own)) = (frame, own) else { continue };
-            let normal = Normal::of(frame, shared, own, &weight);
-            let Some(inverse) = normal.own.try_inverse() else { continue };
-            let (by_right, by_shared) = (inverse * normal.own_right, inverse * normal.between);
-            reduced.0 += normal.shared - normal.between.transpose() * by_shared;
-            reduced.1 += normal.shared_right - normal.between.transpose() * by_right;
-            *eliminated = Some((by_right, by_shared));
-        }
-        let step = reduced.0.try_inverse()? * reduced.1;
-        shared += step;
-        for (own, eliminated) in own.iter_mut().flatten().zip(eliminated.into_iter().flatten()) {
-            *own += eliminated.0 - eliminated.1 * step;
-        }
+        fit.step(&frames, &weight(round))?;
     }
-    let bends = frames.iter().zip(&own).map(|(frame, own)| {
+    let bend = |(frame, own): (&Option<Frame>, &Option<Parameters>)| {
         let (frame, own) = (frame.as_ref()?, own.as_ref()?);
-        let radials = frame.radials(shared, own);
+        let radials = frame.radials(fit.shared, own);
         let lens = Lens::new(coordinates.off_level(picture.level), radials, frame.undistorted(own));
         Some(picture.bend(Course::Lens(lens), &frame.observed.homography))
-    });
-    let explained = frames.iter().zip(&own).zip(&plain).map(|((frame, own), plain)| {
+    };
+    let explained = frames.iter().zip(&fit.own).zip(&plain).map(|((frame, own), plain)| {
         let (Some(frame), Some(own), Some(plain)) = (frame, own, plain) else { return Explained::default() };
         let predicted = |shared, own, at| frame.displacement(at, shared, own).into();
         let by_homography = |o: &Observation| predicted(Vector2::zeros(), plain, o.at);
-        Explained::new(&frame.observed.observations, by_homography, |o| Some(predicted(shared, own, o.at)))
+        Explained::new(&frame.observed.observations, by_homography, |o| Some(predicted(fit.shared, own, o.at)))
     });
-    Some(Bends { bends: bends.collect(), explained: explained.collect() })
+    Some(Bends { bends: frames.iter().zip(&fit.own).map(bend).collect(), explained: explained.collect() })
 }
