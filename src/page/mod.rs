@@ -206,7 +206,7 @@ fn photographs(bracket: &Bracket, alignment: &Alignment, region: Rect) -> Result
     let most = (FRAMES_PIXELS / bracket.frames().len().max(1)).min(FRAME_PIXELS);
     let size = within_pixels((region.width(), region.height()), most);
     let of = |(i, frame): (usize, &Frame)| {
-        let still = || Motion::none((bracket.width(), bracket.height()));
+        let still = || Motion::unmoved((bracket.width(), bracket.height()));
         let motion = alignment.motion(bracket, i).unwrap_or_else(still);
         let pixels = frames::frame(frame, &motion, region, size)?;
         Ok(Photograph { pixels, icc: icc(frame) })

@@ -22,7 +22,7 @@ pub(super) const LEAST_DISPLACED: f64 = 0.02;
 /// the motion of the camera. On rendered scenes, the share is at most 0.2 with depth, and at least 0.7 with leaves and
 /// persons that move.
 const MOST_UNEXPLAINED: f64 = 0.33;
-/// A motion with few parameters suffices if it leaves at most this mean misfit, in variances. On rendered scenes, 0.25
+/// A motion with few parameters suffices if it leaves at most this mean misfit, in variances. On rendered scenes, 0.19
 /// and less remain with the right motion, and 0.8 and more if near and far things are displaced against each other.
 const NOISE: f64 = 0.33;
 /// It is used if it leaves at most this share of the misfits that one homography leaves. On rendered scenes without
@@ -120,7 +120,7 @@ impl Explained {
     pub(super) fn sufficient(frames: &[Explained]) -> Option<f64> {
         let all = Explained::of_all(frames);
         let mean = all.cost_by_motion / all.count.max(1) as f64;
-        (mean <= NOISE && all.cost_by_motion <= CLEARLY * all.cost_by_homography).then_some(mean)
+        (mean <= NOISE && all.cost_by_motion < CLEARLY * all.cost_by_homography).then_some(mean)
     }
 
     /// Whether the motion explains a frame that was rejected because parts of it disagree with one homography.

@@ -16,13 +16,14 @@ mod homography;
 mod observations;
 
 use crate::align::following::bend::{Bends, lens, shutter};
-use crate::align::following::explained::{Explained, LEAST_DISPLACED};
+use crate::align::following::explained::{Explained, LEAST_DISPLACED, LEAST_OBSERVED};
+use crate::align::following::homography::Homography;
 use crate::align::following::observations::Observation;
 use crate::align::grey::{GreyPyramid, measured_level};
 use crate::align::ladder::Searched;
 use crate::align::local::{Displacements, near_patches, patches};
-use crate::align::motion::Followed;
 use crate::align::motion::coordinates::Coordinates;
+use crate::align::motion::{Bend, Followed};
 use crate::align::refinement::FramePair;
 use crate::align::result::{Displaced, Estimate, Placement, RejectedBy};
 use crate::align::transform::{Model, Transform, level_to_full, on_level};
@@ -51,15 +52,27 @@ struct Observed {
     observations: Vec<Observation>,
     /// The homography from which they were measured, in pixels of the level.
     homography: Matrix3<f64>,
+    /// The best small homography after it.
+    plain: Homography,
     /// Whether the frame was rejected because parts of it disagree with the homography.
     is_rejected: bool,
 }
 
 impl Observed {
-    /// Evenly spread observations, not many more than [`MOST_FITTED`].
-    fn some(&self) -> impl Iterator<Item = &Observation> + Clone {
-        self.observations.iter().step_by((self.observations.len() / MOST_FITTED).max(1))
+    fn new(observations: Vec<Observation>, homography: Matrix3<f64>, is_rejected: bool) -> Self {
+        let plain = homography::fit(some(&observations));
+        Observed { observations, homography, plain, is_rejected }
     }
+
+    /// Whether bends may be fitted to the frame.
+    fn is_usable(&self) -> bool {
+        !self.is_rejected && self.observations.len() >= LEAST_OBSERVED
+    }
+}
+
+/// Some of the `observations`, evenly spread: between [`MOST_FITTED`] and twice as many, if there are so many.
+fn some(observations: &[Observation]) -> impl Iterator<Item = &Observation> + Clone {
+    observations.iter().step_by((observations.len() / MOST_FITTED).max(1))
 }
 
 /// The picture in which motions are fitted.
@@ -91,7 +104,8 @@ impl Picture {
 /// parts of it disagree with its transform is placed if they agree with the depth that the placed frames show.
 pub(crate) fn follow(bracket: &Bracket, searched: &mut Searched) -> Option<Followed> {
     let reference = bracket.reference_index();
-    if !searched.placements.iter().any(is_displaced) && !may_be_bent(&searched.placements) {
+    let is_displaced = searched.placements.iter().any(is_displaced);
+    if !is_displaced && !may_be_bent(&searched.placements) {
         return None;
     }
     let start = |i: usize| Start::of(&searched.placements[i], searched.unaccepted[i]).filter(|_| i != reference);
@@ -99,13 +113,16 @@ pub(crate) fn follow(bracket: &Bracket, searched: &mut Searched) -> Option<Follo
     let picture = Picture::of(&searched.pyramids[reference]);
     let pyramids = &searched.pyramids;
     let observed = |patches| observed(pyramids, reference, &starts, &picture, patches, bracket.at_once());
-    if !searched.placements.iter().any(is_displaced) && bent(&observed(near_patches), &picture).is_none() {
+    if !is_displaced && bent(&observed(near_patches), &picture).is_none() {
         return None;
     }
     let frames = observed(patches);
     let (followed, explained) = match bent(&frames, &picture) {
-        Some(Bends { bends, explained }) => {
-            (Followed::Bends(bends.into_iter().map(|bend| bend.map(Arc::new)).collect()), explained)
+        Some(bends) => {
+            let parted =
+                |bend: Option<(Bend, Explained)>| bend.map(|(bend, explained)| (Arc::new(bend), explained)).unzip();
+            let (bends, explained): (_, Vec<Option<Explained>>) = bends.into_iter().map(parted).unzip();
+            (Followed::Bends(bends), explained.into_iter().map(Option::unwrap_or_default).collect())
         }
         None => {
             let (relief, explained) = depth::relief(pyramids, reference, &frames, &picture)?;
@@ -172,14 +189,15 @@ fn observed(
         let h = transform.matrix(picture.size.0, picture.size.1);
         let observation = |(patch, d): &_| Observation::new(*patch, d, &picture.coordinates);
         let observations = patches(&pair, &h).iter().map(observation).collect();
-        Some(Observed { observations, homography: on_level(&h, picture.level), is_rejected: *is_rejected })
+        Some(Observed::new(observations, on_level(&h, picture.level), *is_rejected))
     })
 }
 
 /// The bends that explain the displacements of patches, if there are such bends.
 fn bent(frames: &[Option<Observed>], picture: &Picture) -> Option<Bends> {
     let found = [lens::fit(frames, picture), shutter::fit(frames, picture)];
-    let sufficient = found.into_iter().flatten().filter_map(|b| Some((Explained::sufficient(&b.explained)?, b)));
+    let explained = |bends: &Bends| bends.iter().flatten().map(|(_, explained)| *explained).collect::<Vec<_>>();
+    let sufficient = found.into_iter().filter_map(|bends| Some((Explained::sufficient(&explained(&bends))?, bends)));
     sufficient.min_by(|(a, _), (b, _)| a.total_cmp(b)).map(|(_, bends)| bends)
 }
 

@@ -50,10 +50,10 @@ const LEAST_MOVED: f64 = 0.01;
 pub(crate) const DISPLACED_HALVES: f64 = 0.025;
 /// A single patch is displaced if its displacement is at least this, in pixels of the full size. It is more than
 /// [`DISPLACED_PX`], because single patches are less certain than cells.
-const ALONE_PX: f64 = 2.0;
+const SINGLE_PX: f64 = 2.0;
 /// and if the correlation of the patch falls by at least half of this at a distance of one pixel of the level, in any
 /// direction. Otherwise it may be an edge, whose displacement along itself is unknown.
-const ALONE_SHARPNESS: f64 = 0.05;
+const LEAST_SHARPNESS: f64 = 0.05;
 /// A cell is suspicious if it is displaced by at least this, in pixels of the full size.
 const SUSPICIOUS_PX: f64 = 1.0;
 /// If more than this share of the cells are suspicious or have no match, displacements are searched farther
@@ -67,8 +67,8 @@ pub(crate) struct LocalField {
     h: Matrix3<f64>,
     /// The matches from which the displacements were measured.
     matches: Matches,
-    /// The patches that are displaced each by itself.
-    alone: Alone,
+    /// The single patches that are displaced.
+    single: SinglePatches,
     /// Size of the level of the matches, in pixels.
     size: (usize, usize),
     /// The cells whose displacement is known.
@@ -97,17 +97,17 @@ impl LocalField {
         let h = transform.matrix(width, height);
         let near = matching::near(pair, &h);
         let unmatched = near.unmatched();
-        let alone = alone(&near);
-        let field = Self::of(near, alone, pair, &h);
+        let single = SinglePatches::of(&near);
+        let field = Self::of(near, single, pair, &h);
         let displaced = field.lengths_px().filter(|(px, _)| *px >= SUSPICIOUS_PX).count() + unmatched;
         if displaced as f64 <= SUSPICIOUS * (field.cells.len() + unmatched) as f64 {
             return field;
         }
-        Self::of(matching::far(pair, &h), alone, pair, &h)
+        Self::of(matching::far(pair, &h), single, pair, &h)
     }
 
     /// The field of `matches` under the transform `h`, in pixels of the full size.
-    fn of(matches: Matches, alone: Alone, pair: &FramePair, h: &Matrix3<f64>) -> Self {
+    fn of(matches: Matches, single: SinglePatches, pair: &FramePair, h: &Matrix3<f64>) -> Self {
         let h = on_level(h, matches.level);
         let size = pair.reference().size(matches.level);
         let is_shown = |[x, y]: [f64; 2]| {
@@ -115,12 +115,12 @@ impl LocalField {
             u >= 0.0 && v >= 0.0 && u <= (size.0 - 1) as f64 && v <= (size.1 - 1) as f64
         };
         let cells = smoothed(&matches, is_shown);
-        Self::with(matches, alone, h, size, cells)
+        Self::with(matches, single, h, size, cells)
     }
 
     /// `h` is in pixels of the level of the matches, and `size` is the size of that level.
-    fn with(matches: Matches, alone: Alone, h: Matrix3<f64>, size: (usize, usize), cells: Vec<Cell>) -> Self {
-        let field = LocalField { h, matches, alone, size, cells, misfit: Misfit::default() };
+    fn with(matches: Matches, single: SinglePatches, h: Matrix3<f64>, size: (usize, usize), cells: Vec<Cell>) -> Self {
+        let field = LocalField { h, matches, single, size, cells, misfit: Misfit::default() };
         LocalField { misfit: field.measured(), ..field }
     }
 
@@ -131,7 +131,7 @@ impl LocalField {
             return None;
         }
         let h = off_level(&self.h, self.matches.level);
-        Some(Self::of(self.matches.on_finer_level(pair, &h)?, self.alone, pair, &h))
+        Some(Self::of(self.matches.on_finer_level(pair, &h)?, self.single, pair, &h))
     }
 
     /// Returns this field with displacements from the [dominant motion](dominant) instead of the present transform, and
@@ -150,7 +150,7 @@ impl LocalField {
         };
         let cells = self.cells.iter().map(moved).collect();
         // The displacements of single patches from the dominant motion are unknown.
-        let field = Self::with(self.matches.clone(), Alone::default(), found.h, self.size, cells);
+        let field = Self::with(self.matches.clone(), SinglePatches::default(), found.h, self.size, cells);
         Some((field, self.scale() * found.error))
     }
 
@@ -189,8 +189,7 @@ impl LocalField {
     /// Returns the share of `count` in `all` cells, minus the standard error of this share.
     fn surely(&self, count: f64, all: f64) -> f64 {
         let independent = (all / self.matches.overlap().pow(2) as f64).max(1.0);
-        let share = count / all;
-        (share - (share * (1.0 - share) / independent).sqrt()).max(0.0)
+        surely(count / all, independent)
     }
 
     /// Returns the root mean square of `lengths`, each with the area of its cell, over `all` cells, minus the part that
@@ -222,37 +221,45 @@ impl LocalField {
         let displaced = Displaced { fraction: displaced_or_still / all, px: median(displaced).unwrap_or(0.0) };
         Misfit {
             rms_px: if is_counted { self.rms_px(counting.into_iter(), all) } else { 0.0 },
-            displaced_surely: displaced_surely.max(self.alone.surely),
-            displaced: if self.alone.surely > displaced_surely { self.alone.displaced } else { displaced },
+            displaced_surely: displaced_surely.max(self.single.surely),
+            displaced: if self.single.surely > displaced_surely { self.single.displaced } else { displaced },
         }
     }
 }
 
-/// The patches that are displaced each by itself, as leaves in the wind are. The field does not show them, because it
-/// is a mean over neighbouring patches.
+/// The single patches that are displaced, as leaves in the wind are. The field does not show them, because it is a mean
+/// over neighbouring patches.
 #[derive(Debug, Clone, Copy, Default)]
-struct Alone {
+struct SinglePatches {
     /// The displaced patches.
     displaced: Displaced,
     /// Their share, minus its standard error, 0..=1.
     surely: f64,
 }
 
-/// Returns how many of the patches are displaced, each by itself.
-fn alone(matches: &Matches) -> Alone {
-    let scale = (1u64 << matches.level) as f64;
-    let found = matches.all.iter().flatten().filter_map(|m| m.displacement());
-    let all = (found.clone().count() + matches.unmatched()).max(1) as f64;
-    let length = |TileDisplacement { sharpness: [xx, xy, yy], pull: [px, py], .. }: TileDisplacement| {
-        let least = 0.5 * (xx + yy) - (0.25 * (xx - yy) * (xx - yy) + xy * xy).sqrt();
-        let determinant = xx * yy - xy * xy;
-        let (dx, dy) = ((yy * px - xy * py) / determinant, (xx * py - xy * px) / determinant);
-        (least >= ALONE_SHARPNESS).then(|| scale * (dx * dx + dy * dy).sqrt())
-    };
-    let lengths: Vec<f64> = found.filter_map(length).filter(|&px| px >= ALONE_PX).collect();
-    let share = lengths.len() as f64 / all;
-    let surely = (share - (share * (1.0 - share) / all).sqrt()).max(0.0);
-    Alone { displaced: Displaced { fraction: share, px: median(lengths).unwrap_or(0.0) }, surely }
+impl SinglePatches {
+    fn of(matches: &Matches) -> Self {
+        let scale = (1u64 << matches.level) as f64;
+        let found = matches.all.iter().flatten().filter_map(|m| m.displacement());
+        let all = (found.clone().count() + matches.unmatched()).max(1) as f64;
+        let length = |found: TileDisplacement| {
+            let [xx, xy, yy] = found.sharpness;
+            let least = 0.5 * (xx + yy) - (0.25 * (xx - yy) * (xx - yy) + xy * xy).sqrt();
+            let mut sum = Sum::default();
+            sum.add(1.0, &found);
+            let [dx, dy] = sum.peak();
+            (least >= LEAST_SHARPNESS).then(|| scale * (dx * dx + dy * dy).sqrt())
+        };
+        let lengths: Vec<f64> = found.filter_map(length).filter(|&px| px >= SINGLE_PX).collect();
+        let share = lengths.len() as f64 / all;
+        let displaced = Displaced { fraction: share, px: median(lengths).unwrap_or(0.0) };
+        SinglePatches { displaced, surely: surely(share, all) }
+    }
+}
+
+/// Returns `share` minus its standard error, if it is that of `independent` parts.
+fn surely(share: f64, independent: f64) -> f64 {
+    (share - (share * (1.0 - share) / independent).sqrt()).max(0.0)
 }
 
 /// The weighted sum of the paraboloids of several matches: their sharpness S (negative second derivatives), and their

@@ -40,8 +40,8 @@ pub(crate) fn patches(pair: &FramePair, h: &Matrix3<f64>) -> Displacements {
     all
 }
 
-/// Like [`patches`], but only every second large patch, and only near the position that `h` gives. It takes a tenth of
-/// the time.
+/// Like [`patches`], but only every second large patch, and only near the position that `h` gives. It takes much less
+/// time.
 pub(crate) fn near_patches(pair: &FramePair, h: &Matrix3<f64>) -> Displacements {
     displacements(&matching::near(pair, h), 0, 1.0)
 }

@@ -31,26 +31,26 @@ const MARGIN: (f64, f64) = (1.05, 0.5);
 /// The motion of a frame that a homography does not describe, although it is smooth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Bend {
-    course: Course,
+    model: BendModel,
     /// The largest distance along an axis of a position from that of the homography, in pixels.
     farthest: f64,
 }
 
-/// The position of each pixel.
+/// The model of a bend: where the frame shows each pixel.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) enum Course {
+pub(crate) enum BendModel {
     /// The lens distorts both pictures.
     Lens(Lens),
     /// The camera moved while the rows were read.
     Shutter(Box<Shutter>),
 }
 
-impl Course {
+impl BendModel {
     #[inline(always)]
     fn position(&self, x: f64, y: f64) -> (f64, f64) {
         match self {
-            Course::Lens(lens) => lens.position(x, y),
-            Course::Shutter(shutter) => shutter.position(x, y),
+            BendModel::Lens(lens) => lens.position(x, y),
+            BendModel::Shutter(shutter) => shutter.position(x, y),
         }
     }
 }
@@ -58,29 +58,29 @@ impl Course {
 impl Bend {
     /// The bend of a frame of `size` pixels whose motion is nearly that of `homography`, which maps pixels of the
     /// reference to the frame.
-    pub(crate) fn new(course: Course, homography: &Matrix3<f64>, size: (usize, usize)) -> Self {
+    pub(crate) fn new(model: BendModel, homography: &Matrix3<f64>, size: (usize, usize)) -> Self {
         let at = |i: usize, length: usize| i as f64 * (length.max(1) - 1) as f64 / INTERVALS as f64;
         let nodes = (0..=INTERVALS).flat_map(|j| (0..=INTERVALS).map(move |i| (at(i, size.0), at(j, size.1))));
         let distance = |(x, y): (f64, f64)| {
-            let ((a, b), (u, v)) = (course.position(x, y), map(homography, x, y));
+            let ((a, b), (u, v)) = (model.position(x, y), map(homography, x, y));
             (a - u).abs().max((b - v).abs())
         };
         let farthest = MARGIN.0 * nodes.map(distance).fold(0.0, f64::max) + MARGIN.1;
-        Bend { course, farthest }
+        Bend { model, farthest }
     }
 
     /// Why the motion is bent.
     pub(crate) fn cause(&self) -> Cause {
-        match self.course {
-            Course::Lens(_) => Cause::Lens,
-            Course::Shutter(_) => Cause::Shutter,
+        match self.model {
+            BendModel::Lens(_) => Cause::Lens,
+            BendModel::Shutter(_) => Cause::Shutter,
         }
     }
 
     /// Position in the frame of the pixel (x, y) of the reference, in pixels.
     #[inline(always)]
     pub(crate) fn position(&self, x: f64, y: f64) -> (f64, f64) {
-        self.course.position(x, y)
+        self.model.position(x, y)
     }
 
     /// The largest distance along an axis of a position from that of the homography, in pixels.

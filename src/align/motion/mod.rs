@@ -28,7 +28,7 @@ pub struct Motion {
     /// Reference pixel -> frame pixel, unless something better is followed.
     homography: Matrix3<f64>,
     is_identity: bool,
-    followed: Option<Of>,
+    followed: Option<OneFrame>,
 }
 
 /// What the frames of a bracket show of the scene, where one homography for each of them does not suffice.
@@ -54,7 +54,7 @@ pub enum Cause {
 
 /// What is followed in one frame.
 #[derive(Debug, Clone, PartialEq)]
-enum Of {
+enum OneFrame {
     /// The relief, and the number of the frame in it.
     Depth(Arc<Relief>, usize),
     /// The frame's bend.
@@ -62,18 +62,18 @@ enum Of {
 }
 
 impl Followed {
-    fn of(&self, i: usize) -> Option<Of> {
+    fn of(&self, i: usize) -> Option<OneFrame> {
         match self {
-            Followed::Depth(relief) => relief.view(i).map(|_| Of::Depth(relief.clone(), i)),
-            Followed::Bends(bends) => bends[i].as_ref().map(|bend| Of::Bend(bend.clone())),
+            Followed::Depth(relief) => relief.view(i).map(|_| OneFrame::Depth(relief.clone(), i)),
+            Followed::Bends(bends) => bends[i].as_ref().map(|bend| OneFrame::Bend(bend.clone())),
         }
     }
 
     /// Why the homography of frame `i` does not suffice; none if it does.
     pub fn cause(&self, i: usize) -> Option<Cause> {
         match self.of(i)? {
-            Of::Depth(..) => Some(Cause::Depth),
-            Of::Bend(bend) => Some(bend.cause()),
+            OneFrame::Depth(..) => Some(Cause::Depth),
+            OneFrame::Bend(bend) => Some(bend.cause()),
         }
     }
 }
@@ -86,7 +86,7 @@ impl Motion {
     }
 
     /// A frame of `size` pixels that did not move.
-    pub(crate) fn none(size: (usize, usize)) -> Self {
+    pub(crate) fn unmoved(size: (usize, usize)) -> Self {
         Motion::new(&Transform::Identity, size)
     }
 
@@ -108,8 +108,8 @@ impl Motion {
         match &self.followed {
             None if self.is_identity => Some((x, y)),
             None => Some(map(&self.homography, x, y)),
-            Some(Of::Bend(bend)) => Some(bend.position(x, y)),
-            Some(Of::Depth(..)) => {
+            Some(OneFrame::Bend(bend)) => Some(bend.position(x, y)),
+            Some(OneFrame::Depth(..)) => {
                 let (relief, view) = self.relief()?;
                 let (q, is_shown) = relief.at(view, x as f32, y as f32);
                 is_shown.then(|| view.camera.position(x, y, f64::from(q)))
@@ -134,7 +134,7 @@ impl Motion {
     #[inline(always)]
     pub(crate) fn relief(&self) -> Option<(&Relief, &View)> {
         match &self.followed {
-            Some(Of::Depth(relief, i)) => Some((relief, relief.view(*i)?)),
+            Some(OneFrame::Depth(relief, i)) => Some((relief, relief.view(*i)?)),
             _ => None,
         }
     }
@@ -143,7 +143,7 @@ impl Motion {
     #[inline(always)]
     pub(crate) fn bend(&self) -> Option<&Bend> {
         match &self.followed {
-            Some(Of::Bend(bend)) => Some(bend),
+            Some(OneFrame::Bend(bend)) => Some(bend),
             _ => None,
         }
     }
@@ -159,16 +159,11 @@ impl Motion {
 
     /// Like [`bounds`](Self::bounds), for the whole reference.
     pub(crate) fn extremes(&self) -> [Matrix3<f64>; 2] {
-        match &self.followed {
-            None => [self.homography; 2],
-            Some(Of::Bend(bend)) => {
-                let shift = |px: f64| Matrix3::new(1.0, 0.0, px, 0.0, 1.0, px, 0.0, 0.0, 1.0);
-                [-bend.farthest(), bend.farthest()].map(|px| shift(px) * self.homography)
-            }
-            Some(Of::Depth(relief, i)) => {
-                let camera = relief.view(*i).map(|view| &view.camera);
-                relief.extremes().map(|q| camera.map_or(self.homography, |c| c.homography(f64::from(q))))
-            }
+        if let Some((relief, view)) = self.relief() {
+            return relief.extremes().map(|q| view.camera.homography(f64::from(q)));
         }
+        let farthest = self.bend().map_or(0.0, Bend::farthest);
+        let shift = |px: f64| Matrix3::new(1.0, 0.0, px, 0.0, 1.0, px, 0.0, 0.0, 1.0);
+        [-farthest, farthest].map(|px| shift(px) * self.homography)
     }
 }

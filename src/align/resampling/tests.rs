@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::align::motion::Followed;
-use crate::align::motion::bend::{Bend, Course, Lens, Radial};
+use crate::align::motion::bend::{Bend, BendModel, Lens, Radial};
 use crate::align::motion::camera::Camera;
 use crate::align::motion::coordinates::Coordinates;
 use crate::align::motion::relief::{Relief, View};
@@ -43,7 +43,7 @@ fn bumpy(width: usize, height: usize) -> Motion {
     let hidden = depths.map(|q| q > 10.0);
     let camera = Camera::new(Matrix3x4::new(1.0, 0.01, 2.3, 0.7, -0.01, 1.0, -1.6, 0.4, 1e-5, 2e-5, 1.0, 1e-4));
     let relief = Relief::new(1, depths, 1.0, vec![Some(View { camera, hidden })]);
-    Motion::none((width, height)).following(Some(&Followed::Depth(Arc::new(relief))), 0)
+    Motion::unmoved((width, height)).following(Some(&Followed::Depth(Arc::new(relief))), 0)
 }
 
 /// The motion of a frame whose lens distorts.
@@ -52,7 +52,7 @@ fn bent(width: usize, height: usize) -> Motion {
     let h = Matrix3::new(1.0, -0.03, 0.05, 0.03, 1.0, -0.02, 0.01, 0.0, 1.0);
     let radials = [[0.1, 0.02], [-0.1, 0.03]].map(|powers| Radial { powers });
     let pixels = coordinates.inverse() * h * coordinates.matrix();
-    let bend = Bend::new(Course::Lens(Lens::new(coordinates, radials, h)), &pixels, (width, height));
+    let bend = Bend::new(BendModel::Lens(Lens::new(coordinates, radials, h)), &pixels, (width, height));
     let motion = Motion::new(&Transform::Homography(pixels), (width, height));
     motion.following(Some(&Followed::Bends(vec![Some(Arc::new(bend))])), 0)
 }

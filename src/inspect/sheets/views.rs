@@ -100,7 +100,7 @@ impl<'a> Views<'a> {
 
 /// The motion of a frame that is not aligned.
 fn still(frame: &Frame) -> Motion {
-    Motion::none((frame.width(), frame.height()))
+    Motion::unmoved((frame.width(), frame.height()))
 }
 
 /// Draws the edges of the two frames in `couple`, before and after alignment.

@@ -244,9 +244,9 @@ pub fn astray(error_px: Option<f64>) -> f32 {
     (BLURRED * BLURRED + error * error).sqrt().min(MOST_ASTRAY)
 }
 
-/// Returns for each cell whether `frame` shows something else than `standard`. `astray` is
-/// the displacement of edges without motion, in cells. `limits` are two thresholds in standard
-/// deviations: a cell that reaches the first may have moved; a cell that reaches the second differs certainly.
+/// Returns for each cell whether `frame` shows something else than `standard`. `astray` is the displacement of edges
+/// without motion, in cells. `limits` are two thresholds in standard deviations: a cell that reaches the first may have
+/// moved; a cell that reaches the second differs certainly.
 pub fn moved(
     standard: &Plane<Cell>,
     frame: &Plane<Cell>,

@@ -374,7 +374,7 @@ fn of_large_cells_a_quarter_is_looked_at() {
     let curve = ResponseCurve::srgb();
     let layer = Layer {
         frame: &frame,
-        motion: Motion::none((8, 8)),
+        motion: Motion::unmoved((8, 8)),
         meaning: Meaning::of(&curve, 1.0),
         astray_px: 1.2,
         is_assumed: false,

@@ -8,11 +8,10 @@
 //! coefficient in each frame. From one frame alone, the distortion is known only if the camera turned.
 
 use crate::align::following::bend::Bends;
-use crate::align::following::explained::{Explained, LEAST_OBSERVED, ROUNDS, weight};
-use crate::align::following::homography;
+use crate::align::following::explained::{Explained, ROUNDS, weight};
 use crate::align::following::observations::Observation;
-use crate::align::following::{Observed, Picture};
-use crate::align::motion::bend::{Course, Lens, Radial};
+use crate::align::following::{Observed, Picture, some};
+use crate::align::motion::bend::{BendModel, Lens, Radial};
 use crate::align::motion::coordinates::{Coordinates, by_homography};
 use crate::align::transform::map;
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2};
@@ -48,6 +47,11 @@ impl<'a> Frame<'a> {
         self.homography * Matrix3::new(1.0 + p[0], p[1], p[2], p[3], 1.0 + p[4], p[5], -p[6], -p[7], 1.0)
     }
 
+    /// The parameters without distortion.
+    fn plain(&self) -> Parameters {
+        SVector::from_fn(|i, _| self.observed.plain.get(i).copied().unwrap_or(0.0))
+    }
+
     fn radials(&self, shared: Vector2<f64>, own: &Parameters) -> [Radial; 2] {
         [[shared.x, shared.y], [shared.x + own[8], shared.y]].map(|powers| Radial { powers })
     }
@@ -81,7 +85,7 @@ impl Normal {
             own_right: SVector::zeros(),
             shared_right: Vector2::zeros(),
         };
-        for observation in frame.observed.some() {
+        for observation in some(&frame.observed.observations) {
             let d = frame.displacement(observation.at, shared, own);
             let changed = |shared, own: &Parameters| (frame.displacement(observation.at, shared, own) - d) / STEP;
             let by_shared = SMatrix::<f64, 2, 2>::from_columns(&[
@@ -148,33 +152,26 @@ impl Fit {
     }
 }
 
-/// Fits the distortion of the lens; none if no frame has enough observations.
-pub(in crate::align::following) fn fit(frames: &[Option<Observed>], picture: &Picture) -> Option<Bends> {
+/// Fits the distortion of the lens; no frame has a bend if the observations do not determine it.
+pub(in crate::align::following) fn fit(frames: &[Option<Observed>], picture: &Picture) -> Bends {
     let coordinates = &picture.coordinates;
-    let is_usable = |observed: &&Observed| !observed.is_rejected && observed.observations.len() >= LEAST_OBSERVED;
-    let usable = frames.iter().map(|observed| observed.as_ref().filter(is_usable));
+    let usable = frames.iter().map(|observed| observed.as_ref().filter(|observed| observed.is_usable()));
     let frames: Vec<Option<Frame>> = usable.map(|observed| Frame::new(observed?, coordinates)).collect();
-    frames.iter().flatten().next()?;
-    let homography = |frame: &Option<Frame>| {
-        let start = homography::fit(frame.as_ref()?.observed.some());
-        Some(SVector::from_fn(|i, _| start.get(i).copied().unwrap_or(0.0)))
-    };
-    let plain: Vec<Option<Parameters>> = frames.iter().map(homography).collect();
-    let mut fit = Fit { shared: Vector2::zeros(), own: plain.clone() };
+    let plain = frames.iter().map(|frame| Some(frame.as_ref()?.plain())).collect();
+    let mut fit = Fit { shared: Vector2::zeros(), own: plain };
     for round in (0..ROUNDS).step_by(2) {
-        fit.step(&frames, &weight(round))?;
+        if fit.step(&frames, &weight(round)).is_none() {
+            return vec![None; frames.len()];
+        }
     }
     let bend = |(frame, own): (&Option<Frame>, &Option<Parameters>)| {
         let (frame, own) = (frame.as_ref()?, own.as_ref()?);
         let radials = frame.radials(fit.shared, own);
         let lens = Lens::new(coordinates.off_level(picture.level), radials, frame.undistorted(own));
-        Some(picture.bend(Course::Lens(lens), &frame.observed.homography))
+        let plain = |o: &Observation| frame.displacement(o.at, Vector2::zeros(), &frame.plain()).into();
+        let predicted = |o: &Observation| Some(frame.displacement(o.at, fit.shared, own).into());
+        let explained = Explained::new(&frame.observed.observations, plain, predicted);
+        Some((picture.bend(BendModel::Lens(lens), &frame.observed.homography), explained))
     };
-    let explained = frames.iter().zip(&fit.own).zip(&plain).map(|((frame, own), plain)| {
-        let (Some(frame), Some(own), Some(plain)) = (frame, own, plain) else { return Explained::default() };
-        let predicted = |shared, own, at| frame.displacement(at, shared, own).into();
-        let by_homography = |o: &Observation| predicted(Vector2::zeros(), plain, o.at);
-        Explained::new(&frame.observed.observations, by_homography, |o| Some(predicted(fit.shared, own, o.at)))
-    });
-    Some(Bends { bends: frames.iter().zip(&fit.own).map(bend).collect(), explained: explained.collect() })
+    frames.iter().zip(&fit.own).map(bend).collect()
 }

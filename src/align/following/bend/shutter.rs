@@ -5,11 +5,11 @@
 //! roll that are cubic splines of the row, because these are the motions of a hand that displace a picture most.
 
 use crate::align::following::bend::Bends;
-use crate::align::following::explained::{Explained, LEAST_OBSERVED, ROUNDS, weight};
-use crate::align::following::homography::{self, basis};
+use crate::align::following::explained::{Explained, ROUNDS, weight};
+use crate::align::following::homography::basis;
 use crate::align::following::observations::Observation;
-use crate::align::following::{Observed, Picture};
-use crate::align::motion::bend::{Bend, Course, SHUTTER_PARAMETERS, SPLINES, Shutter, by_shutter, displacement};
+use crate::align::following::{Observed, Picture, some};
+use crate::align::motion::bend::{BendModel, SHUTTER_PARAMETERS, SPLINES, Shutter, by_shutter, displacement};
 use crate::align::motion::coordinates::by_homography;
 use crate::align::transform::off_level;
 use nalgebra::{SMatrix, SVector, Vector2};
@@ -21,29 +21,21 @@ const EXPECTED_CURVATURE_PX: f64 = 0.5;
 
 type Parameters = SVector<f64, SHUTTER_PARAMETERS>;
 
-/// Fits the motion of each frame; none if no frame has enough observations.
-pub(in crate::align::following) fn fit(frames: &[Option<Observed>], picture: &Picture) -> Option<Bends> {
-    let unit = picture.coordinates.unit;
-    let fitted: Vec<Option<(Bend, Explained)>> = frames
-        .iter()
-        .map(|observed| {
-            let observed = observed.as_ref().filter(|o| !o.is_rejected && o.observations.len() >= LEAST_OBSERVED)?;
-            let plain = homography::fit(observed.some());
-            let parameters = parameters(observed, picture.height);
-            let predicted = |o: &Observation| Some(displacement(&parameters, o.at, picture.height));
-            let explained = Explained::new(&observed.observations, |o| (basis(o) * plain).into(), predicted);
-            let homography = off_level(&observed.homography, picture.level);
-            let coordinates = picture.coordinates.off_level(picture.level);
-            let shutter = Shutter::new(coordinates, picture.height, parameters / unit, homography);
-            Some((picture.bend(Course::Shutter(Box::new(shutter)), &observed.homography), explained))
-        })
-        .collect();
-    fitted.iter().flatten().next()?;
-    let (bends, explained) = fitted
-        .into_iter()
-        .map(|fitted| fitted.map_or((None, Explained::default()), |(bend, explained)| (Some(bend), explained)))
-        .unzip();
-    Some(Bends { bends, explained })
+/// Fits the motion of each frame.
+pub(in crate::align::following) fn fit(frames: &[Option<Observed>], picture: &Picture) -> Bends {
+    let bend = |observed: &Option<Observed>| {
+        let observed = observed.as_ref().filter(|observed| observed.is_usable())?;
+        let parameters = parameters(observed, picture.height);
+        let plain = |o: &Observation| (basis(o) * observed.plain).into();
+        let predicted = |o: &Observation| Some(displacement(&parameters, o.at, picture.height));
+        let explained = Explained::new(&observed.observations, plain, predicted);
+        let homography = off_level(&observed.homography, picture.level);
+        let coordinates = picture.coordinates.off_level(picture.level);
+        let parameters = parameters / picture.coordinates.unit;
+        let shutter = Shutter::new(coordinates, picture.height, parameters, homography);
+        Some((picture.bend(BendModel::Shutter(Box::new(shutter)), &observed.homography), explained))
+    };
+    frames.iter().map(bend).collect()
 }
 
 /// The parameters of a frame, in pixels of the level.
@@ -65,7 +57,7 @@ fn parameters(observed: &Observed, height: f64) -> Parameters {
     for round in (0..ROUNDS).step_by(2) {
         let weight = weight(round);
         let (mut normal, mut right) = (held, Parameters::zeros());
-        for observation in observed.some() {
+        for observation in some(&observed.observations) {
             let (first, turns) = by_shutter(observation.at, height);
             let small = by_homography(observation.at);
             // The parameters on which the displacement depends, and its derivatives by them.

@@ -294,7 +294,7 @@ fn near_disc_and_far_scene_are_both_followed_on_any_number_of_threads() {
     assert!([1, 5].map(on).iter().all(|other| *other == found));
     let found = Followed::Depth(Arc::new(found));
     for i in [0, 2] {
-        let motion = Motion::none(SIZE).following(Some(&found), i);
+        let motion = Motion::unmoved(SIZE).following(Some(&found), i);
         let (mut right, mut all) = (0, 0);
         for (x, y) in (10..SIZE.1 - 10).step_by(3).flat_map(|y| (10..SIZE.0 - 10).step_by(3).map(move |x| (x, y))) {
             let (a, b) = (x as f64 - 150.0, y as f64 - 120.0);

@@ -9,6 +9,7 @@ use nalgebra::{Matrix3, Matrix3x4, RowVector4, SVector, Vector4};
 
 /// Number of parameters of a [`CameraMotion`].
 pub(in crate::align::following::depth) const PARAMETERS: usize = 11;
+
 /// The motion of a frame relative to a homography from which displacements were measured: a small second homography (8
 /// parameters) and an epipole (3). All parameters are displacements in pixels: at the distance of one unit from the
 /// centre, and, for the epipole, of a pixel with relative depth 1.
@@ -19,7 +20,7 @@ pub(in crate::align::following::depth) struct CameraMotion(
 
 impl CameraMotion {
     /// The motion without depth, by a small homography.
-    pub(in crate::align::following) fn flat(homography: &SVector<f64, 8>) -> Self {
+    pub(in crate::align::following::depth) fn flat(homography: &SVector<f64, 8>) -> Self {
         CameraMotion(SVector::from_fn(|i, _| homography.get(i).copied().unwrap_or(0.0)))
     }
 
