@@ -11,6 +11,7 @@
 use crate::align::following::depth::semi_global::Choice;
 use crate::plane::Plane;
 use crate::simd::{Loops, at_least, at_most, vectorised};
+use std::ops::Range;
 
 /// Weight of a difference between the gradient and the slope, a1.
 const GRADIENT: f32 = 1.0;
@@ -110,33 +111,76 @@ impl Loops for DualStep<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let width = self.weights.len();
+        let weights = self.weights;
+        let (width, last) = (weights.len(), weights.len() - 1);
         let [_, label, _, sx, _, sy] = parts::<PRIMAL>(self.here, width);
         let [_, _, _, above_sx, _, above_sy] = parts::<PRIMAL>(self.above, width);
         let [_, below, ..] = parts::<PRIMAL>(self.below, width);
         let [gx, gy, xx, yy, xy] = parts_mut::<DUAL>(self.row, width);
-        let is_last = std::ptr::eq(self.here, self.below);
-        let mut at = |x: usize, left: usize, right: usize| {
-            // Forward differences of the label, minus the slope; none over the last column and row.
-            let across = if right == x { 0.0 } else { label[right] - label[x] - sx[x] };
-            let along = if is_last { 0.0 } else { below[x] - label[x] - sy[x] };
-            let (a, b) = (gx[x] + STEP * across, gy[x] + STEP * along);
-            let excess = at_least((a * a + b * b).sqrt() / self.weights[x], 1.0);
-            (gx[x], gy[x]) = (a / excess, b / excess);
-            // Backward differences of the slope.
-            let a = xx[x] + STEP * (sx[x] - sx[left]);
-            let b = yy[x] + STEP * (sy[x] - above_sy[x]);
-            let c = xy[x] + STEP * 0.5 * ((sx[x] - above_sx[x]) + (sy[x] - sy[left]));
-            let excess = at_least((a * a + b * b + 2.0 * c * c).sqrt() / SLOPE, 1.0);
-            (xx[x], yy[x], xy[x]) = (a / excess, b / excess, c / excess);
-        };
-        at(0, 0, 1.min(width - 1));
-        for x in 1..width.saturating_sub(1) {
-            at(x, x - 1, x + 1);
+        let below = (!std::ptr::eq(self.here, self.below)).then_some(below);
+        for (part, right) in [(0..last, Some(&label[1..])), (last..width, None)] {
+            let of = |v| part_of(v, &part);
+            let (gx, gy) = (&mut gx[part.clone()], &mut gy[part.clone()]);
+            raise_gradients(of(label), right, below.map(of), [of(sx), of(sy)], of(weights), gx, gy);
         }
-        if width > 1 {
-            at(width - 1, width - 2, width - 1);
+        for (part, left) in [(0..1, 0..1), (1..width, 0..last)] {
+            let of = |v| part_of(v, &part);
+            let slopes = [sx, sy].map(|v| [of(v), part_of(v, &left)]);
+            let (xx, yy, xy) = (&mut xx[part.clone()], &mut yy[part.clone()], &mut xy[part.clone()]);
+            raise_changes(slopes, [of(above_sx), of(above_sy)], xx, yy, xy);
         }
+    }
+}
+
+#[inline(always)]
+fn part_of<'a>(v: &'a [f32], part: &Range<usize>) -> &'a [f32] {
+    &v[part.clone()]
+}
+
+/// Raises the dual variables of grad q - v. `right` and `below` are the labels of the neighbours; none at the border,
+/// where there is no difference.
+#[inline(always)]
+fn raise_gradients(
+    label: &[f32],
+    right: Option<&[f32]>,
+    below: Option<&[f32]>,
+    [sx, sy]: [&[f32]; 2],
+    weights: &[f32],
+    gx: &mut [f32],
+    gy: &mut [f32],
+) {
+    let count = gx.len();
+    let [label, sx, sy, weights] = [label, sx, sy, weights].map(|v| &v[..count]);
+    let [right, below] = [right, below].map(|v| v.map(|v| &v[..count]));
+    let gy = &mut gy[..count];
+    for x in 0..count {
+        let across = right.map_or(0.0, |right| right[x] - label[x] - sx[x]);
+        let along = below.map_or(0.0, |below| below[x] - label[x] - sy[x]);
+        let (a, b) = (gx[x] + STEP * across, gy[x] + STEP * along);
+        let excess = at_least((a * a + b * b).sqrt() / weights[x], 1.0);
+        (gx[x], gy[x]) = (a / excess, b / excess);
+    }
+}
+
+/// Raises the dual variables of E v. The slopes in x and in y are each given here and one pixel to the left, and `above`.
+#[inline(always)]
+fn raise_changes(
+    [[sx, left_sx], [sy, left_sy]]: [[&[f32]; 2]; 2],
+    above: [&[f32]; 2],
+    xx: &mut [f32],
+    yy: &mut [f32],
+    xy: &mut [f32],
+) {
+    let count = xx.len();
+    let [sx, left_sx, sy, left_sy] = [sx, left_sx, sy, left_sy].map(|v| &v[..count]);
+    let [above_sx, above_sy] = above.map(|v| &v[..count]);
+    let (yy, xy) = (&mut yy[..count], &mut xy[..count]);
+    for x in 0..count {
+        let a = xx[x] + STEP * (sx[x] - left_sx[x]);
+        let b = yy[x] + STEP * (sy[x] - above_sy[x]);
+        let c = xy[x] + STEP * 0.5 * ((sx[x] - above_sx[x]) + (sy[x] - left_sy[x]));
+        let excess = at_least((a * a + b * b + 2.0 * c * c).sqrt() / SLOPE, 1.0);
+        (xx[x], yy[x], xy[x]) = (a / excess, b / excess, c / excess);
     }
 }
 
@@ -159,38 +203,75 @@ impl Loops for PrimalStep<'_> {
     #[inline(always)]
     fn run(self) {
         let [chosen, certainty] = self.chosen;
-        let width = chosen.len();
+        let (width, last) = (chosen.len(), chosen.len() - 1);
         let [gx, gy, xx, yy, xy] = parts::<DUAL>(self.here, width);
         let [_, above_gy, ..] = parts::<DUAL>(self.above, width);
         let [_, _, _, below_yy, below_xy] = parts::<DUAL>(self.below, width);
         let [label, next_label, sx, next_sx, sy, next_sy] = parts_mut::<PRIMAL>(self.row, width);
+        for (part, left) in [(0..1, None), (1..width, Some(&gx[..last]))] {
+            let of = |v| part_of(v, &part);
+            let (label, next) = (&mut label[part.clone()], &mut next_label[part.clone()]);
+            lower_labels([of(gx), of(gy)], left, of(above_gy), [of(chosen), of(certainty)], label, next);
+        }
         // The adjoint of the backward differences: the first column and row have no difference to the one before.
         let row_counts = if self.is_first { 0.0 } else { 1.0 };
-        let mut at = |x: usize, left: Option<usize>, right: Option<usize>| {
-            let before = |v: &[f32]| left.map_or(0.0, |i| v[i]);
-            let after = |v: &[f32]| right.map_or(0.0, |i| v[i]);
-            let column_counts = if left.is_none() { 0.0 } else { 1.0 };
-            let moved = label[x] + STEP * (gx[x] - before(gx) + gy[x] - above_gy[x]);
-            // The certainty pulls the label towards the chosen one.
-            let pull = STEP * certainty[x];
-            let new = moved + at_least(at_most(chosen[x] - moved, pull), -pull);
-            next_label[x] = 2.0 * new - label[x];
-            label[x] = new;
-            let change = after(xx) - column_counts * xx[x] + below_xy[x] - row_counts * xy[x];
-            let new = sx[x] + STEP * (gx[x] + change);
-            next_sx[x] = 2.0 * new - sx[x];
-            sx[x] = new;
-            let change = below_yy[x] - row_counts * yy[x] + after(xy) - column_counts * xy[x];
-            let new = sy[x] + STEP * (gy[x] + change);
-            next_sy[x] = 2.0 * new - sy[x];
-            sy[x] = new;
-        };
-        at(0, None, (width > 1).then_some(1));
-        for x in 1..width.saturating_sub(1) {
-            at(x, Some(x - 1), Some(x + 1));
+        let inner = 1.min(last)..last;
+        for part in [0..inner.start, inner, last..width] {
+            let of = |v| part_of(v, &part);
+            let column_counts = if part.start == 0 { 0.0 } else { 1.0 };
+            let right = |v| (part.end < width).then(|| part_of(v, &(part.start + 1..part.end + 1)));
+            for (s, next, g, across, along, below) in
+                [(&mut *sx, &mut *next_sx, gx, xx, xy, below_xy), (&mut *sy, &mut *next_sy, gy, xy, yy, below_yy)]
+            {
+                let across = (of(across), right(across), column_counts);
+                let along = (of(along), of(below), row_counts);
+                lower_slopes(of(g), across, along, &mut s[part.clone()], &mut next[part.clone()]);
+            }
         }
-        if width > 1 {
-            at(width - 1, Some(width - 2), None);
-        }
+    }
+}
+
+/// Lowers the labels: `left` is gx of the neighbours; none at the border. The certainty pulls the label towards the
+/// chosen one.
+#[inline(always)]
+fn lower_labels(
+    [gx, gy]: [&[f32]; 2],
+    left: Option<&[f32]>,
+    above_gy: &[f32],
+    chosen: [&[f32]; 2],
+    label: &mut [f32],
+    next: &mut [f32],
+) {
+    let count = label.len();
+    let [gx, gy, above_gy] = [gx, gy, above_gy].map(|v| &v[..count]);
+    let [chosen, certainty] = chosen.map(|v| &v[..count]);
+    let (left, next) = (left.map(|v| &v[..count]), &mut next[..count]);
+    for x in 0..count {
+        let moved = label[x] + STEP * (gx[x] - left.map_or(0.0, |left| left[x]) + gy[x] - above_gy[x]);
+        let pull = STEP * certainty[x];
+        let new = moved + at_least(at_most(chosen[x] - moved, pull), -pull);
+        next[x] = 2.0 * new - label[x];
+        label[x] = new;
+    }
+}
+
+/// Lowers the slopes along one axis. `across` and `along` are the dual variables here and in the next column or row, and
+/// a factor that is 0 where there is no difference to the column or row before. In the last column there is no next one.
+#[inline(always)]
+fn lower_slopes(
+    g: &[f32],
+    across: (&[f32], Option<&[f32]>, f32),
+    along: (&[f32], &[f32], f32),
+    slope: &mut [f32],
+    next: &mut [f32],
+) {
+    let count = slope.len();
+    let [g, a, b, below] = [g, across.0, along.0, along.1].map(|v| &v[..count]);
+    let (right, next) = (across.1.map(|v| &v[..count]), &mut next[..count]);
+    for x in 0..count {
+        let change = right.map_or(0.0, |right| right[x]) - across.2 * a[x] + below[x] - along.2 * b[x];
+        let new = slope[x] + STEP * (g[x] + change);
+        next[x] = 2.0 * new - slope[x];
+        slope[x] = new;
     }
 }
