@@ -34,8 +34,7 @@ use std::sync::Arc;
 
 /// Bends are fitted only if the errors of frames are at least this, in pixels of the full size.
 const LEAST_ERROR_PX: f64 = 0.1;
-/// Number of observations of a frame to which bends are fitted, and of a trial of depth. A bend has at most 32
-/// parameters.
+/// Number of observations of a frame to which bends and cameras are fitted. They have at most 32 parameters.
 const MOST_FITTED: usize = 1500;
 /// If a motion leaves this share of the patches of a frame unexplained, its confidence is one half.
 const UNEXPLAINED_HALVES: f64 = 0.1;

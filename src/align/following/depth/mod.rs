@@ -28,7 +28,7 @@ use crate::align::following::depth::ground::Ground;
 use crate::align::following::depth::semi_global::Choice;
 use crate::align::following::explained::Explained;
 use crate::align::following::observations::Observation;
-use crate::align::following::{MOST_FITTED, Observed, Picture};
+use crate::align::following::{Observed, Picture};
 use crate::align::grey::{GreyPyramid, finest_level};
 use crate::align::motion::camera::Camera;
 use crate::align::motion::relief::{Relief, View};
@@ -51,8 +51,6 @@ const BESIDE: usize = 16;
 /// Depths of neighbours differ by at least this if they are on different surfaces: the displacement in the frame that
 /// moves most, in pixels of the level.
 const JUMP_PX: f64 = 1.0;
-/// The golden ratio.
-const GOLDEN: f64 = 1.618_033_988_749_895;
 
 /// Measures the depth of the scene; none if depth does not explain what homographies leave unexplained. A frame that
 /// was rejected gets a view if it agrees with the depth that the other frames show. Also returns how well depth
@@ -105,11 +103,7 @@ fn geometry(frames: &[Option<Observed>], unit: f64) -> Option<Geometry> {
         let used = frames.iter().zip(is_used);
         used.map(|(frame, is)| frame.as_ref().filter(|_| *is).map_or(&[][..], |f| &f.observations)).collect()
     };
-    // A trial with some of the patches shows quickly that there is no depth.
-    let placed = used(&is_used);
-    let some: Vec<Vec<Observation>> = some_patches(&placed);
-    fit(&some.iter().map(Vec::as_slice).collect::<Vec<_>>())?;
-    let geometry = fit(&placed)?;
+    let geometry = fit(&used(&is_used))?;
     let is_convincing = |frame: &&Observed| geometry.explains(&frame.observations, unit).is_convincing();
     let joins = |(frame, is): (&'_ Option<Observed>, &bool)| !is && frame.as_ref().filter(is_convincing).is_some();
     let joining: Vec<bool> = frames.iter().zip(&is_used).map(joins).collect();
@@ -118,15 +112,6 @@ fn geometry(frames: &[Option<Observed>], unit: f64) -> Option<Geometry> {
     }
     is_used.iter_mut().zip(joining).for_each(|(is, joins)| *is |= joins);
     fit(&used(&is_used))
-}
-
-/// The observations of some patches, the same in all frames: about [`MOST_FITTED`] of the frame with most observations.
-fn some_patches(frames: &[&[Observation]]) -> Vec<Vec<Observation>> {
-    let most = frames.iter().map(|observations| observations.len()).max().unwrap_or(0);
-    let share = (MOST_FITTED as f64 / most as f64).min(1.0);
-    // The fractional parts of the multiples of the golden ratio are evenly spread over 0..1.
-    let is_taken = |o: &&Observation| o.patch as f64 * GOLDEN % 1.0 <= share;
-    frames.iter().map(|observations| observations.iter().filter(is_taken).copied().collect()).collect()
 }
 
 /// Returns the label of each pixel of the `reference`, with a fraction.

@@ -9,15 +9,22 @@
 pub(super) mod camera_motion;
 mod direction;
 
+use crate::align::following::MOST_FITTED;
 use crate::align::following::depth::geometry::camera_motion::{CameraMotion, PARAMETERS};
 use crate::align::following::depth::geometry::direction::Start;
 use crate::align::following::explained::{Explained, LEAST_OBSERVED, ROUNDS, weight};
 use crate::align::following::homography::{self, EXPECTED_PX};
 use crate::align::following::observations::Observation;
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
+use std::ops::Range;
 
 /// Steps for the motion of a frame in a round: in the first, and in the others.
 const STEPS: (usize, usize) = (10, 2);
+/// Rounds in which the depths of all patches are computed, after the motions.
+const DEPTH_ROUNDS: Range<usize> = ROUNDS - 10..ROUNDS;
+
+/// The golden ratio.
+const GOLDEN: f64 = 1.618_033_988_749_895;
 
 /// The motions of all frames.
 #[derive(Debug, Clone)]
@@ -54,22 +61,24 @@ impl Geometry {
 }
 
 /// Computes the motions from the observations of each frame; none if no frame has enough observations. `unit` is the
-/// unit of the coordinates, in pixels.
+/// unit of the coordinates, in pixels. The motions have few parameters, so some of the patches determine them.
 pub(super) fn fit(frames: &[&[Observation]], patches: usize, unit: f64) -> Option<Geometry> {
+    let some = some_patches(frames);
     let starts: Vec<Option<Start>> =
-        frames.iter().map(|f| (f.len() >= LEAST_OBSERVED).then(|| direction::search(f))).collect();
+        some.iter().map(|f| (f.len() >= LEAST_OBSERVED).then(|| direction::search(f))).collect();
     // The frame with most parallax gives the first depths.
-    let gain = |i: &usize| starts[*i].as_ref().map_or(0.0, |s| s.gain * frames[*i].len() as f64);
-    let first = (0..frames.len()).filter(|&i| starts[i].is_some()).max_by(|a, b| gain(a).total_cmp(&gain(b)))?;
+    let gain = |i: &usize| starts[*i].as_ref().map_or(0.0, |s| s.gain * some[*i].len() as f64);
+    let first = (0..some.len()).filter(|&i| starts[i].is_some()).max_by(|a, b| gain(a).total_cmp(&gain(b)))?;
     let mut depths = vec![None; patches];
     let start = starts[first].as_ref()?;
-    for observation in frames[first] {
+    for observation in &some[first] {
         depths[observation.patch] = Some(start.depth(observation));
     }
     let mut motions: Vec<Option<CameraMotion>> = vec![None; frames.len()];
+    let some: Vec<&[Observation]> = some.iter().map(Vec::as_slice).collect();
     for round in 0..ROUNDS {
         let weight = weight(round);
-        for (i, observations) in frames.iter().enumerate() {
+        for (i, observations) in some.iter().enumerate() {
             let Some(start) = &starts[i] else { continue };
             let (mut motion, steps) = motions[i].map_or_else(|| (start.without_depth(), STEPS.0), |m| (m, STEPS.1));
             let known: Vec<(&Observation, f64)> =
@@ -82,15 +91,29 @@ pub(super) fn fit(frames: &[&[Observation]], patches: usize, unit: f64) -> Optio
             }
             motions[i] = Some(motion);
         }
-        refit_depths(frames, &motions, &mut depths, unit, &weight);
+        refit_depths(&some, &motions, &mut depths, unit, &weight);
         normalise(&mut motions, &mut depths);
     }
+    for round in DEPTH_ROUNDS {
+        refit_depths(frames, &motions, &mut depths, unit, &weight(round));
+    }
+    normalise(&mut motions, &mut depths);
     let explained = (0..frames.len()).map(|i| match (&starts[i], &motions[i]) {
         (Some(start), Some(motion)) => explained(frames[i], &start.without_depth(), motion, &depths, unit),
         _ => Explained::default(),
     });
     let explained = explained.collect();
     Some(Geometry { motions, depths, explained })
+}
+
+/// The observations of some patches, the same in all frames: about [`MOST_FITTED`] of the frame with most
+/// observations.
+fn some_patches(frames: &[&[Observation]]) -> Vec<Vec<Observation>> {
+    let most = frames.iter().map(|observations| observations.len()).max().unwrap_or(0);
+    let share = (MOST_FITTED as f64 / most as f64).min(1.0);
+    // The fractional parts of the multiples of the golden ratio are evenly spread over 0..1.
+    let is_taken = |o: &&Observation| o.patch as f64 * GOLDEN % 1.0 <= share;
+    frames.iter().map(|observations| observations.iter().filter(is_taken).copied().collect()).collect()
 }
 
 /// How well the `motion` of a frame and the depths explain its `observations`.
