@@ -78,18 +78,9 @@ pub(super) fn fit(frames: &[&[Observation]], patches: usize, unit: f64) -> Optio
     let some: Vec<&[Observation]> = some.iter().map(Vec::as_slice).collect();
     for round in 0..ROUNDS {
         let weight = weight(round);
-        for (i, observations) in some.iter().enumerate() {
-            let Some(start) = &starts[i] else { continue };
-            let (mut motion, steps) = motions[i].map_or_else(|| (start.without_depth(), STEPS.0), |m| (m, STEPS.1));
-            let known: Vec<(&Observation, f64)> =
-                observations.iter().filter_map(|s| Some((s, depths[s.patch]?))).collect();
-            if known.len() < LEAST_OBSERVED {
-                continue;
-            }
-            for _ in 0..steps {
-                motion = step(&motion, &known, unit, &weight);
-            }
-            motions[i] = Some(motion);
+        for (motion, (start, observations)) in motions.iter_mut().zip(starts.iter().zip(&some)) {
+            *motion =
+                start.as_ref().and_then(|start| refit_motion(motion, start, observations, &depths, unit, &weight));
         }
         refit_depths(&some, &motions, &mut depths, unit, &weight);
         normalise(&mut motions, &mut depths);
@@ -146,6 +137,24 @@ fn step(motion: &CameraMotion, known: &[(&Observation, f64)], unit: f64, weight:
     }
     right -= motion.0 * hold;
     CameraMotion(motion.0 + normal.cholesky().map_or_else(SVector::zeros, |c| c.solve(&right)))
+}
+
+/// Computes the motion of a frame from the depths of its patches, beginning with `motion`, or else with `start`. Without
+/// enough depths, `motion` remains.
+fn refit_motion(
+    motion: &Option<CameraMotion>,
+    start: &Start,
+    observations: &[Observation],
+    depths: &[Option<f64>],
+    unit: f64,
+    weight: &impl Fn(f64) -> f64,
+) -> Option<CameraMotion> {
+    let known: Vec<(&Observation, f64)> = observations.iter().filter_map(|o| Some((o, depths[o.patch]?))).collect();
+    if known.len() < LEAST_OBSERVED {
+        return *motion;
+    }
+    let (first, steps) = motion.map_or_else(|| (start.without_depth(), STEPS.0), |motion| (motion, STEPS.1));
+    Some((0..steps).fold(first, |motion, _| step(&motion, &known, unit, weight)))
 }
 
 /// Computes the depth of every patch that a frame with a motion shows.
