@@ -162,7 +162,8 @@ fn raise_gradients(
     }
 }
 
-/// Raises the dual variables of E v. The slopes in x and in y are each given here and one pixel to the left, and `above`.
+/// Raises the dual variables of E v. The slopes in x and in y are each given here and one pixel to the left, and
+/// `above`.
 #[inline(always)]
 fn raise_changes(
     [[sx, left_sx], [sy, left_sy]]: [[&[f32]; 2]; 2],
@@ -255,8 +256,9 @@ fn lower_labels(
     }
 }
 
-/// Lowers the slopes along one axis. `across` and `along` are the dual variables here and in the next column or row, and
-/// a factor that is 0 where there is no difference to the column or row before. In the last column there is no next one.
+/// Lowers the slopes along one axis. `across` and `along` are the dual variables here and in the next column or row,
+/// and a factor that is 0 where there is no difference to the column or row before. In the last column there is no next
+/// one.
 #[inline(always)]
 fn lower_slopes(
     g: &[f32],

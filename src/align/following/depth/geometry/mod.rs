@@ -139,8 +139,8 @@ fn step(motion: &CameraMotion, known: &[(&Observation, f64)], unit: f64, weight:
     CameraMotion(motion.0 + normal.cholesky().map_or_else(SVector::zeros, |c| c.solve(&right)))
 }
 
-/// Computes the motion of a frame from the depths of its patches, beginning with `motion`, or else with `start`. Without
-/// enough depths, `motion` remains.
+/// Computes the motion of a frame from the depths of its patches, beginning with `motion`, or else with `start`.
+/// Without enough depths, `motion` remains.
 fn refit_motion(
     motion: &Option<CameraMotion>,
     start: &Start,
