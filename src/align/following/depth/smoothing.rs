@@ -132,6 +132,7 @@ impl Loops for DualStep<'_> {
     }
 }
 
+/// The elements `part` of `v`.
 #[inline(always)]
 fn part_of<'a>(v: &'a [f32], part: &Range<usize>) -> &'a [f32] {
     &v[part.clone()]
@@ -139,6 +140,9 @@ fn part_of<'a>(v: &'a [f32], part: &Range<usize>) -> &'a [f32] {
 
 /// Raises the dual variables of grad q - v. `right` and `below` are the labels of the neighbours; none at the border,
 /// where there is no difference.
+///
+/// This and the following steps are functions with short loops, because long closures are not inlined and slices in one
+/// row are not known to be separate; both would prevent vector instructions.
 #[inline(always)]
 fn raise_gradients(
     label: &[f32],
