@@ -16,7 +16,7 @@ use super::region;
 use crate::merge::FLOOR;
 use crate::merge::layer::CLIPS;
 use crate::plane::Plane;
-use crate::pyramid::cells::row_between_cells;
+use crate::pyramid::cells::{gathered, row_between_cells};
 use crate::response::ResponseCurve;
 
 /// The radiance that fills the holes.
@@ -43,12 +43,17 @@ struct Known {
     /// Number of the shortest frame that is clipped and has full weight. 0 is the reference, 1 the next shorter frame,
     /// and so on.
     clipping: u8,
-    /// Whether a shorter frame that is not clipped has a reduced weight.
+    /// Whether a frame shorter than that one has a reduced weight.
     is_missed: bool,
-    /// Largest weight of a shorter frame that is not clipped, times 255.
+    /// Largest weight of a frame that is shorter than that one and not clipped, times 255.
     kept: u8,
-    /// Whether any shorter frame has a reduced weight.
-    is_touched: bool,
+}
+
+impl Known {
+    /// Whether a frame might show more here if nothing had moved.
+    fn is_hole(&self) -> bool {
+        self.is_missed && self.kept < u8::MAX
+    }
 }
 
 /// What the frames shorter than the reference show of the clipped parts of the reference.
@@ -74,15 +79,17 @@ impl Shorter {
                 if cell.is_outside() {
                     continue;
                 }
-                if kept == u8::MAX && !known.is_sure {
-                    (known.radiance, known.is_sure) = (cell.radiance, !cell.clips());
-                    known.clipping = if cell.clips() { number } else { known.clipping };
-                }
+                known.is_missed |= kept < u8::MAX;
                 if !cell.clips() {
                     known.kept = known.kept.max(kept);
-                    known.is_missed |= kept < u8::MAX;
                 }
-                known.is_touched |= kept < u8::MAX;
+                if kept == u8::MAX && !known.is_sure {
+                    (known.radiance, known.is_sure) = (cell.radiance, !cell.clips());
+                    if cell.clips() {
+                        // Whatever a longer frame shows here, it is clipped too or shows something else.
+                        (known.clipping, known.is_missed, known.kept) = (number, false, 0);
+                    }
+                }
             }
         });
     }
@@ -91,8 +98,7 @@ impl Shorter {
     pub fn holes(&self, reference: &Plane<Cell>, curve: &ResponseCurve) -> Option<Holes> {
         let known = &self.known;
         let (width, height) = (known.width(), known.height());
-        let is_hole = |(x, y): (usize, usize)| known.at(x, y).is_missed && known.at(x, y).kept < u8::MAX;
-        let is_source = |(x, y): (usize, usize)| known.at(x, y).kept == u8::MAX || !known.at(x, y).is_touched;
+        let is_hole = |(x, y): (usize, usize)| known.at(x, y).is_hole();
         if !(0..height).any(|y| (0..width).any(|x| is_hole((x, y)) && reference.at(x, y).clips())) {
             return None;
         }
@@ -108,7 +114,7 @@ impl Shorter {
             let mut weights = Plane::filled(width, height, 0.0f32);
             for part in &parts {
                 let is_of = |&&(x, y): &&(usize, usize)| is_hole((x, y)) && known.at(x, y).clipping == clipping;
-                let is_example = |&&(x, y): &&(usize, usize)| is_source((x, y)) && known.at(x, y).clipping >= clipping;
+                let is_example = |&&(x, y): &&(usize, usize)| !is_hole((x, y)) && known.at(x, y).clipping >= clipping;
                 // A connected part without a hole gives no examples, because it may be brighter than the holes.
                 if part.iter().any(|at| is_of(&at)) && part.iter().any(|at| is_example(&at)) {
                     part.iter().filter(is_example).for_each(|&(x, y)| weights.row_mut(y)[x] = 1.0);
@@ -116,6 +122,15 @@ impl Shorter {
                 }
             }
             if counts.as_slice().iter().any(|&count| count > 0) {
+                // Counts and masks are interpolated between cells. If counts ended with the hole, a dark outline would
+                // remain where the mask of the frame that shows the motion ends. So clipped examples beside a hole
+                // are filled too, with their own radiance.
+                let beside = gathered(&counts, 1, |most, count| *most = (*most).max(*count));
+                for (i, count) in counts.as_mut_slice().iter_mut().enumerate() {
+                    if weights.as_slice()[i] > 0.0 && !known.as_slice()[i].is_sure {
+                        *count = beside.as_slice()[i];
+                    }
+                }
                 let radiance = std::array::from_fn(|c| self.continued(c, &weights));
                 let more = Holes { radiance, counts, clips: [(0.0, 0.0); 3] };
                 holes = Some(match holes {

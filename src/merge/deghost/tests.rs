@@ -104,6 +104,29 @@ fn clipped_reference_is_replaced_as_standard_by_the_next_frame_that_agrees() {
 }
 
 #[test]
+fn sky_that_is_clipped_in_all_frames_has_no_outlines_of_what_moved() {
+    // The sky is clipped in all three frames. In each of the two shorter frames, a dark object is elsewhere.
+    let sky = |_: usize, y: usize| if y < 150 { [40.0; 3] } else { [0.2; 3] };
+    let with =
+        |at: (usize, usize)| move |x: usize, y: usize| if disc(x, y, at) { [0.2, 0.15, 0.15] } else { sky(x, y) };
+    let times = [1.0 / 16.0, 0.25, 1.0];
+    let frames = vec![
+        still(SIZE, &times, with((150, 90))).0.frames()[0].clone(),
+        still(SIZE, &times, with((60, 90))).0.frames()[1].clone(),
+        still(SIZE, &times, sky).0.frames()[2].clone(),
+    ];
+    let bracket = Bracket::new(frames, &crate::bracket::ReferenceChoice::Number(3)).unwrap();
+    let alignment = Alignment::unmoved(&bracket);
+    let found = merged(&bracket, &alignment, Some(&seek(&bracket, &alignment)));
+    // Everywhere the radiance is at least the lower bound that the shortest frame gives for most of the sky. At the
+    // edge of the object, pixels of 2x2 cells that contain both are darker before they are filled.
+    let bound = found.at(5, 5)[1];
+    for x in 0..SIZE.0 {
+        assert!(found.at(x, 90)[1] > 0.9 * bound, "{x}: {} for {bound}", found.at(x, 90)[1]);
+    }
+}
+
+#[test]
 fn clipped_reference_is_continued_where_shorter_frames_show_motion() {
     // The scene is a sky that doubles in radiance from left to right, and is clipped in the reference. The only shorter
     // frame has a dark object in front of the sky. Below the sky is ground that no frame clips.
