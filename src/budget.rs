@@ -62,8 +62,8 @@ const SHEET: u64 = 24 << 20;
 /// Largest number of drawings that are computed at a time, one per thread. It is the number of drawings of one frame.
 const SHEETS: u64 = 6;
 
-/// Bytes that the measurement of depth takes per pixel of a strip: the costs of all labels, and their sums.
-const MATCHED: u64 = 3 * Demand::MOST_LABELS;
+/// Bytes of the sum of the costs of a label.
+const COST_SUM: u64 = 2;
 /// Bytes of the chosen depths per pixel of the level on which depth is measured.
 const CHOSEN: u64 = 8;
 /// Bytes of the smoothing per pixel of that level: 15 floats, and a margin for the displacements of the patches.
@@ -119,8 +119,8 @@ impl Demand {
     pub const MOST_CELLS: u64 = 1 << 18;
     /// Largest number of depths that are compared for each pixel.
     pub const MOST_LABELS: u64 = 64;
-    /// Largest number of pixels whose depths are compared at a time, unless a few rows are more.
-    pub const STRIP_PIXELS: u64 = 96 << 10;
+    /// Largest number of costs of depths that are summed at a time, unless a few rows have more.
+    pub const STRIP_COSTS: u64 = 6 << 20;
     /// Largest number of cells of the overview of tone mapping (a grid of mean luminances).
     const OVERVIEW_CELLS: u64 = 1 << 20;
 
@@ -167,8 +167,10 @@ impl Demand {
     /// Bytes of the measurement of depth.
     fn relief(&self) -> u64 {
         let (pixels, frames) = (self.measured_pixels(), self.frames as u64);
-        let matched = MATCHED * Demand::STRIP_PIXELS.min(pixels) + (CHOSEN + COMPARED * frames) * pixels;
-        let smoothed = (CHOSEN + SMOOTHED + COMPARED * frames) * pixels;
+        let costs = Demand::MOST_LABELS * pixels;
+        let matched =
+            costs + (COMPARED * frames * pixels).max(CHOSEN * pixels + COST_SUM * Demand::STRIP_COSTS.min(costs));
+        let smoothed = (CHOSEN + SMOOTHED) * pixels;
         let hidden = self.kept_relief() + HIDING * self.refined_pixels();
         if self.stages.following { matched.max(smoothed).max(hidden) } else { 0 }
     }

@@ -50,7 +50,7 @@ impl Labels {
     }
 }
 
-/// The costs of all labels of the pixels of some rows.
+/// The costs of all labels of all pixels.
 #[derive(Debug)]
 pub(super) struct CostVolume {
     pub(super) width: usize,
@@ -88,10 +88,8 @@ impl Compared {
 }
 
 impl CostVolume {
-    /// Computes the volume of some rows of the reference, which is `width` pixels wide, from the comparisons with all
-    /// frames.
-    pub(super) fn new(width: usize, rows: Range<usize>, frames: &[Compared], labels: &Labels) -> Self {
-        let height = rows.len();
+    /// Computes the volume of a reference of this width and height, from the comparisons with all frames.
+    pub(super) fn new((width, height): (usize, usize), frames: &[Compared], labels: &Labels) -> Self {
         let most = -0.5 * log2(UNEXPLAINED) * std::f32::consts::LN_2 * frames.len() as f32;
         let scale = 255.0 / (most + UNEXPECTED);
         let unknown = 255 - (UNEXPECTED * scale + 0.5) as u8;
@@ -99,7 +97,7 @@ impl CostVolume {
         costs.par_chunks_mut(ROWS * width * labels.count).enumerate().for_each_init(
             || Band::new(width),
             |band, (i, costs)| {
-                let rows = rows.start + i * ROWS..(rows.start + (i + 1) * ROWS).min(rows.end);
+                let rows = i * ROWS..((i + 1) * ROWS).min(height);
                 for label in 0..labels.count {
                     let gains = band.gains(frames, labels.depth(label as f32), rows.clone());
                     for (costs, gain) in costs.chunks_exact_mut(labels.count).zip(gains) {

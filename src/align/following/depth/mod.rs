@@ -25,7 +25,6 @@ use crate::align::following::depth::cost_volume::{Compared, CostVolume, Labels};
 use crate::align::following::depth::geometry::Geometry;
 use crate::align::following::depth::geometry::camera_motion::CameraMotion;
 use crate::align::following::depth::ground::Ground;
-use crate::align::following::depth::semi_global::Choice;
 use crate::align::following::explained::Explained;
 use crate::align::following::observations::Observation;
 use crate::align::following::{Observed, Picture};
@@ -44,10 +43,6 @@ const LABEL_PX: f64 = 0.5;
 const MOST_LABELS: usize = Demand::MOST_LABELS as usize;
 /// The labels cover the depths of all patches but this share at each end, and a margin.
 const OUTLYING: f64 = 0.005;
-/// Number of pixels that are matched together. This limits the memory.
-const STRIP_PIXELS: usize = Demand::STRIP_PIXELS as usize;
-/// Rows above and below a strip that are matched with it, because a label depends on its neighbours.
-const BESIDE: usize = 16;
 /// Depths of neighbours differ by at least this if they are on different surfaces: the displacement in the frame that
 /// moves most, in pixels of the level.
 const JUMP_PX: f64 = 1.0;
@@ -72,8 +67,7 @@ pub(super) fn relief(
         Some(Compared::new(greys[reference], greys[i], &tones, cameras[i]?))
     };
     let compared: Vec<Compared> = (0..pyramids.len()).filter_map(compared).collect();
-    let smooth = labelled(greys[reference], &compared, &labels);
-    drop(compared);
+    let smooth = labelled(greys[reference], compared, &labels);
     let mut depths = smooth.map(|label| labels.depth(label) as f32);
     let jump = (labels.step * JUMP_PX / LABEL_PX) as f32;
     let finest = finest_level(&pyramids[reference]);
@@ -115,30 +109,17 @@ fn geometry(frames: &[Option<Observed>], unit: f64) -> Option<Geometry> {
 }
 
 /// Returns the label of each pixel of the `reference`, with a fraction.
-fn labelled(reference: &Plane<u8>, frames: &[Compared], labels: &Labels) -> Plane<f32> {
-    let mut choices = matched(reference, frames, labels, None);
+fn labelled(reference: &Plane<u8>, frames: Vec<Compared>, labels: &Labels) -> Plane<f32> {
+    let mut volume = CostVolume::new((reference.width(), reference.height()), &frames, labels);
+    drop(frames);
+    let mut choices = semi_global::choose(&volume, reference);
     if let Some(ground) = Ground::of(&choices) {
-        choices = matched(reference, frames, labels, Some(&ground));
+        drop(choices);
+        volume.expect(|x, y| ground.label(x, y));
+        choices = semi_global::choose(&volume, reference);
     }
+    drop(volume);
     smoothing::smooth(&choices, reference)
-}
-
-/// Chooses the label of each pixel, strip by strip; with `ground`, its labels are preferred.
-fn matched(reference: &Plane<u8>, frames: &[Compared], labels: &Labels, ground: Option<&Ground>) -> Plane<Choice> {
-    let (width, height) = (reference.width(), reference.height());
-    let strip = (STRIP_PIXELS / width).saturating_sub(2 * BESIDE).max(BESIDE);
-    let mut choices = Vec::with_capacity(width * height);
-    for first in (0..height).step_by(strip) {
-        let end = (first + strip).min(height);
-        let rows = first.saturating_sub(BESIDE)..(end + BESIDE).min(height);
-        let mut volume = CostVolume::new(width, rows.clone(), frames, labels);
-        if let Some(ground) = ground {
-            volume.expect(|x, y| ground.label(x, rows.start + y));
-        }
-        let grey = Plane::from_vec(width, rows.len(), reference.rows(rows.clone()).to_vec());
-        choices.extend_from_slice(semi_global::choose(&volume, &grey).rows(first - rows.start..end - rows.start));
-    }
-    Plane::from_vec(width, height, choices)
 }
 
 /// The labels for the depths of the patches; none if these do not differ.

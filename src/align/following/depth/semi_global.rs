@@ -7,9 +7,11 @@
 //! L(p, d) = C(p, d) + min(L(p', d), L(p', d +- 1) + P1, min L(p', k) + P2) - min L(p', k).
 
 use crate::align::following::depth::cost_volume::CostVolume;
+use crate::budget::Demand;
 use crate::plane::Plane;
 use crate::simd::{Loops, vectorised};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Cost of a step by one label, P1, in natural units of log likelihood.
 const STEP: f32 = 0.3;
@@ -19,6 +21,10 @@ const JUMP: f32 = 2.5;
 const EDGE: f32 = 8.0;
 /// Least value of P2, in natural units of log likelihood.
 const LEAST_JUMP: f32 = 0.1;
+/// Number of costs that are summed at a time, unless a few rows have more. This limits the memory.
+const STRIP_COSTS: usize = Demand::STRIP_COSTS as usize;
+/// Rows above and below a strip that are matched with it, because a label depends on its neighbours.
+const BESIDE: usize = 16;
 /// Pixels of a row that are processed together.
 const BLOCK: usize = 64;
 
@@ -31,22 +37,87 @@ pub(super) struct Choice {
     pub(super) certainty: f32,
 }
 
-/// Chooses the label of each pixel of `volume`. `grey` is the reference.
+/// Some rows of a volume, and the grey values of the reference there.
+struct Strip<'a> {
+    volume: &'a CostVolume,
+    grey: &'a Plane<u8>,
+    rows: Range<usize>,
+}
+
+impl Strip<'_> {
+    /// The costs of the pixel (x, y) of the strip.
+    #[inline(always)]
+    fn costs(&self, x: usize, y: usize) -> &[u8] {
+        self.volume.at((self.rows.start + y) * self.volume.width + x)
+    }
+
+    /// The grey values of row `y` of the strip.
+    fn grey(&self, y: usize) -> &[u8] {
+        self.grey.row(self.rows.start + y)
+    }
+}
+
+/// Chooses the label of each pixel of `volume`, strip by strip. `grey` is the reference.
 pub(super) fn choose(volume: &CostVolume, grey: &Plane<u8>) -> Plane<Choice> {
-    let mut sums = vec![0u16; volume.costs.len()];
-    along_rows(volume, grey, &mut sums);
-    for is_down in [true, false] {
-        for slant in [-1, 0, 1] {
-            across_rows(volume, grey, &mut sums, is_down, slant);
+    let (width, height) = (volume.width, volume.height);
+    let rows = (STRIP_COSTS / (width * volume.labels)).saturating_sub(2 * BESIDE).max(BESIDE);
+    let mut choices = Vec::with_capacity(width * height);
+    for first in (0..height).step_by(rows) {
+        let end = (first + rows).min(height);
+        let strip = Strip { volume, grey, rows: first.saturating_sub(BESIDE)..(end + BESIDE).min(height) };
+        let chosen = strip.choose();
+        choices.extend_from_slice(chosen.rows(first - strip.rows.start..end - strip.rows.start));
+    }
+    Plane::from_vec(width, height, choices)
+}
+
+impl Strip<'_> {
+    /// Chooses the label of each pixel of the strip.
+    fn choose(&self) -> Plane<Choice> {
+        let (width, labels) = (self.volume.width, self.volume.labels);
+        let mut sums = vec![0u16; width * self.rows.len() * labels];
+        self.along_rows(&mut sums);
+        for is_down in [true, false] {
+            for slant in [-1, 0, 1] {
+                self.across_rows(&mut sums, is_down, slant);
+            }
+        }
+        Plane::from_rows(width, self.rows.len(), |y, row| {
+            for (x, choice) in row.iter_mut().enumerate() {
+                let sums = &sums[(y * width + x) * labels..][..labels];
+                *choice = chosen(sums, self.costs(x, y), self.volume.scale);
+            }
+        })
+    }
+
+    /// Adds the costs of the paths from the left and from the right.
+    fn along_rows(&self, sums: &mut [u16]) {
+        let (width, labels) = (self.volume.width, self.volume.labels);
+        sums.par_chunks_mut(width * labels).enumerate().for_each_init(
+            || [vec![WALL; labels + 2], vec![WALL; labels + 2]],
+            |paths, (y, sums)| vectorised(AlongRow { strip: self, y, sums, paths }),
+        );
+    }
+
+    /// Adds the costs of the paths that come from the row above (`is_down`) or below, and from `slant` columns to the
+    /// left.
+    fn across_rows(&self, sums: &mut [u16], is_down: bool, slant: isize) {
+        let (width, height, labels) = (self.volume.width, self.rows.len(), self.volume.labels);
+        let stride = labels + 2;
+        let mut before = Paths { costs: vec![WALL; width * stride], least: vec![0; width] };
+        let mut here = before.clone();
+        for i in 0..height {
+            let y = if is_down { i } else { height - 1 - i };
+            let last = if is_down { y.wrapping_sub(1) } else { y + 1 };
+            let row = Row { strip: self, y, last: (last < height).then_some(last), slant };
+            let sums = &mut sums[y * width * labels..(y + 1) * width * labels];
+            let paths = here.costs.par_chunks_mut(BLOCK * stride).zip(here.least.par_chunks_mut(BLOCK));
+            sums.par_chunks_mut(BLOCK * labels).zip(paths).enumerate().for_each(|(block, (sums, (costs, least)))| {
+                vectorised(Block { row: &row, x: block * BLOCK, before: &before, costs, least, sums });
+            });
+            std::mem::swap(&mut before, &mut here);
         }
     }
-    let labels = volume.labels;
-    Plane::from_rows(volume.width, volume.height, |y, row| {
-        for (x, choice) in row.iter_mut().enumerate() {
-            let i = y * volume.width + x;
-            *choice = chosen(&sums[i * labels..(i + 1) * labels], volume.at(i), volume.scale);
-        }
-    })
 }
 
 /// The label with the least sum. Its fraction is that of the vertex of the parabola through its neighbours.
@@ -104,18 +175,9 @@ fn begin(costs: &[u8], here: &mut [u16], sums: &mut [u16]) -> u16 {
     least
 }
 
-/// Adds the costs of the paths from the left and from the right.
-fn along_rows(volume: &CostVolume, grey: &Plane<u8>, sums: &mut [u16]) {
-    let (width, labels) = (volume.width, volume.labels);
-    sums.par_chunks_mut(width * labels).enumerate().for_each_init(
-        || [vec![WALL; labels + 2], vec![WALL; labels + 2]],
-        |paths, (y, sums)| vectorised(AlongRow { volume, grey: grey.row(y), y, sums, paths }),
-    );
-}
-
+/// Computes the paths from the left and from the right in a row.
 struct AlongRow<'a> {
-    volume: &'a CostVolume,
-    grey: &'a [u8],
+    strip: &'a Strip<'a>,
     y: usize,
     sums: &'a mut [u16],
     paths: &'a mut [Vec<u16>; 2],
@@ -126,19 +188,20 @@ impl Loops for AlongRow<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let (width, labels) = (self.volume.width, self.volume.labels);
+        let AlongRow { strip, y, .. } = self;
+        let (width, labels, grey) = (strip.volume.width, strip.volume.labels, strip.grey(y));
         let [before, here] = self.paths;
         for is_from_left in [true, false] {
             let mut least = 0;
             for i in 0..width {
                 let x = if is_from_left { i } else { width - 1 - i };
-                let costs = self.volume.at(self.y * width + x);
+                let costs = strip.costs(x, y);
                 let sums = &mut self.sums[x * labels..(x + 1) * labels];
                 least = if i == 0 {
                     begin(costs, here, sums)
                 } else {
                     let last = if is_from_left { x - 1 } else { x + 1 };
-                    let penalties = penalties(self.volume.scale, self.grey[x], self.grey[last]);
+                    let penalties = penalties(strip.volume.scale, grey[x], grey[last]);
                     extend(costs, before, least, penalties, here, sums)
                 };
                 std::mem::swap(before, here);
@@ -156,32 +219,12 @@ struct Paths {
     least: Vec<u16>,
 }
 
-/// Adds the costs of the paths that come from the row above (`is_down`) or below, and from `slant` columns to the left.
-fn across_rows(volume: &CostVolume, grey: &Plane<u8>, sums: &mut [u16], is_down: bool, slant: isize) {
-    let (width, height, labels) = (volume.width, volume.height, volume.labels);
-    let stride = labels + 2;
-    let mut before = Paths { costs: vec![WALL; width * stride], least: vec![0; width] };
-    let mut here = before.clone();
-    for i in 0..height {
-        let y = if is_down { i } else { height - 1 - i };
-        let last = if is_down { y.wrapping_sub(1) } else { y + 1 };
-        let row = Row { volume, y, grey: grey.row(y), grey_before: (last < height).then(|| grey.row(last)), slant };
-        let sums = &mut sums[y * width * labels..(y + 1) * width * labels];
-        let paths = here.costs.par_chunks_mut(BLOCK * stride).zip(here.least.par_chunks_mut(BLOCK));
-        sums.par_chunks_mut(BLOCK * labels).zip(paths).enumerate().for_each(|(block, (sums, (costs, least)))| {
-            vectorised(Block { row: &row, x: block * BLOCK, before: &before, costs, least, sums });
-        });
-        std::mem::swap(&mut before, &mut here);
-    }
-}
-
 /// A row whose paths are computed.
 struct Row<'a> {
-    volume: &'a CostVolume,
+    strip: &'a Strip<'a>,
     y: usize,
-    grey: &'a [u8],
-    /// The grey values of the row from which the paths come; none at the first row.
-    grey_before: Option<&'a [u8]>,
+    /// The row from which the paths come; none at the first row.
+    last: Option<usize>,
     slant: isize,
 }
 
@@ -201,17 +244,18 @@ impl Loops for Block<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let (volume, width) = (self.row.volume, self.row.grey.len());
-        let labels = volume.labels;
+        let Row { strip, y, last, slant } = *self.row;
+        let (labels, scale, grey) = (strip.volume.labels, strip.volume.scale, strip.grey(y));
+        let grey_before = last.map(|last| strip.grey(last));
         let stride = labels + 2;
         let paths = self.costs.chunks_exact_mut(stride).zip(self.least.iter_mut());
         for ((i, (here, least)), sums) in paths.enumerate().zip(self.sums.chunks_exact_mut(labels)) {
             let x = self.x + i;
-            let costs = volume.at(self.row.y * width + x);
-            let last = x.wrapping_add_signed(-self.row.slant);
-            *least = match self.row.grey_before.and_then(|grey| grey.get(last)) {
-                Some(&grey) => {
-                    let penalties = penalties(volume.scale, self.row.grey[x], grey);
+            let costs = strip.costs(x, y);
+            let last = x.wrapping_add_signed(-slant);
+            *least = match grey_before.and_then(|grey| grey.get(last)) {
+                Some(&before) => {
+                    let penalties = penalties(scale, grey[x], before);
                     let before = &self.before.costs[last * stride..(last + 1) * stride];
                     extend(costs, before, self.before.least[last], penalties, here, sums)
                 }

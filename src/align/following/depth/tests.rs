@@ -1,5 +1,6 @@
 //! The depth stages against textbook versions, and against scenes with known depth.
 
+use super::semi_global::Choice;
 use super::*;
 use crate::align::following::observations::Observation;
 use crate::align::following::{Start, observed};
@@ -181,6 +182,24 @@ fn semi_global_matching_is_that_of_the_paper() {
 }
 
 #[test]
+fn strips_of_a_volume_are_matched_with_the_rows_beside_them() {
+    // There are 6 x 2^20 costs to a strip, so it has 1536 rows, of which 16 on each side belong to its neighbours.
+    let (width, height, labels) = (64, 1600, 64);
+    let volume = noisy_volume(width, height, labels);
+    let grey = Plane::from_rows(width, height, |y, row: &mut [u8]| {
+        row.iter_mut().enumerate().for_each(|(x, v)| *v = (255.0 * uniform(6, x as i64, y as i64)) as u8);
+    });
+    let part = |rows: std::ops::Range<usize>| {
+        let costs = volume.costs[rows.start * width * labels..rows.end * width * labels].to_vec();
+        let grey = Plane::from_vec(width, rows.len(), grey.rows(rows.clone()).to_vec());
+        semi_global::choose(&CostVolume { width, height: rows.len(), labels, costs, scale: volume.scale }, &grey)
+    };
+    let all = semi_global::choose(&volume, &grey);
+    assert_eq!(all.rows(0..1504), part(0..1520).rows(0..1504));
+    assert_eq!(all.rows(1504..1600), part(1488..1600).rows(16..112));
+}
+
+#[test]
 fn costs_follow_the_correlation_of_windows() {
     let size = (40, 30);
     let take = |dx: f64| Scene::new(3).photograph(size, &shift(dx, 0.0), Shot { noise: 0.0, ..Shot::at(0.0) });
@@ -191,7 +210,7 @@ fn costs_follow_the_correlation_of_windows() {
     let tones = ToneTables::between(&reference, &frame, &Matrix3::identity());
     let compared = [Compared::new(&reference, &frame, &tones, camera)];
     let labels = Labels { first: 0.0, step: 1.0, count: 5 };
-    let volume = CostVolume::new(size.0, 0..size.1, &compared, &labels);
+    let volume = CostVolume::new(size, &compared, &labels);
     for (x, y) in [(5, 5), (20, 12), (30, 25), (17, 3)] {
         for label in 0..5 {
             let window = |plane: &Plane<f32>, dx: usize| -> Vec<f64> {
