@@ -57,5 +57,5 @@ pub fn write(
 /// The displacement of the pixel (x, y); NaN if the frame does not show it.
 fn displacement(motion: &Motion, x: usize, y: usize) -> [f32; 2] {
     let (x, y) = (x as f64, y as f64);
-    motion.inside(x, y).map_or([f32::NAN; 2], |(u, v)| [(u - x) as f32, (v - y) as f32])
+    motion.seen(x, y).map_or([f32::NAN; 2], |(u, v)| [(u - x) as f32, (v - y) as f32])
 }

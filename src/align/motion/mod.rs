@@ -12,7 +12,7 @@ pub(crate) mod camera;
 pub(crate) mod coordinates;
 pub(crate) mod relief;
 
-use crate::align::motion::relief::View;
+use crate::align::motion::relief::{View, Visibility};
 use crate::align::transform::{Transform, map};
 pub use bend::Bend;
 use nalgebra::Matrix3;
@@ -102,17 +102,23 @@ impl Motion {
     }
 
     /// Position in the frame, in pixels, of what the reference shows at (x, y), which may be between pixels. It may be
-    /// outside of the frame. None if something nearer hides it in the frame.
+    /// outside of the frame. None if something nearer hides it in the frame, or pixels beside it.
     #[inline(always)]
     pub fn position(&self, x: f64, y: f64) -> Option<(f64, f64)> {
+        self.position_if(x, y, |visibility| visibility == Visibility::Shown)
+    }
+
+    /// The [position](Self::position), if the pixel `is_wanted`.
+    #[inline(always)]
+    fn position_if(&self, x: f64, y: f64, is_wanted: impl Fn(Visibility) -> bool) -> Option<(f64, f64)> {
         match &self.followed {
             None if self.is_identity => Some((x, y)),
             None => Some(map(&self.homography, x, y)),
             Some(OneFrame::Bend(bend)) => Some(bend.position(x, y)),
             Some(OneFrame::Depth(..)) => {
                 let (relief, view) = self.relief()?;
-                let (q, is_shown) = relief.at(view, x as f32, y as f32);
-                is_shown.then(|| view.camera.position(x, y, f64::from(q)))
+                let (q, visibility) = relief.at(view, x as f32, y as f32);
+                is_wanted(visibility).then(|| view.camera.position(x, y, f64::from(q)))
             }
         }
     }
@@ -120,9 +126,19 @@ impl Motion {
     /// Like [`position`](Self::position), but also none outside of the rectangle of the frame's pixel centres.
     #[inline(always)]
     pub fn inside(&self, x: f64, y: f64) -> Option<(f64, f64)> {
-        let (right, bottom) = ((self.size.0 - 1) as f64, (self.size.1 - 1) as f64);
-        // The comparisons are false for NaN.
-        self.position(x, y).filter(|&(u, v)| u >= 0.0 && v >= 0.0 && u <= right && v <= bottom)
+        self.position(x, y).filter(|at| self.is_inside(at))
+    }
+
+    /// Like [`inside`](Self::inside), but also where something nearer only hides pixels beside it. The frame shows such
+    /// a pixel, but perhaps mixed with what is nearer, so it is not merged.
+    pub fn seen(&self, x: f64, y: f64) -> Option<(f64, f64)> {
+        self.position_if(x, y, |visibility| visibility != Visibility::Hidden).filter(|at| self.is_inside(at))
+    }
+
+    /// Whether a position is within the rectangle of the frame's pixel centres; false for NaN.
+    #[inline(always)]
+    fn is_inside(&self, &(u, v): &(f64, f64)) -> bool {
+        u >= 0.0 && v >= 0.0 && u <= (self.size.0 - 1) as f64 && v <= (self.size.1 - 1) as f64
     }
 
     /// Width and height of the frame, in pixels.

@@ -27,8 +27,20 @@ pub struct Relief {
 pub(crate) struct View {
     /// The camera, in pixels of the full size.
     pub(crate) camera: Camera,
-    /// Whether something nearer hides a pixel of the level in this frame.
-    pub(crate) hidden: Plane<bool>,
+    /// How this frame shows each pixel of the level.
+    pub(crate) visibility: Plane<Visibility>,
+}
+
+/// How a frame shows a pixel of the reference.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) enum Visibility {
+    /// It shows what the reference shows.
+    #[default]
+    Shown,
+    /// It may show a little of something nearer, too: the pixel is beside hidden ones.
+    Mixed,
+    /// Something nearer hides the pixel.
+    Hidden,
 }
 
 impl Relief {
@@ -50,14 +62,14 @@ impl Relief {
         ((v + 0.5) / (1u64 << self.level) as f32 - 0.5).clamp(0.0, (count - 1) as f32)
     }
 
-    /// Relative depth at the position (x, y) of the full size; and whether the frame of `view` shows it.
+    /// Relative depth at the position (x, y) of the full size; and how the frame of `view` shows it.
     #[inline(always)]
-    pub(crate) fn at(&self, view: &View, x: f32, y: f32) -> (f32, bool) {
+    pub(crate) fn at(&self, view: &View, x: f32, y: f32) -> (f32, Visibility) {
         let (u, v) = (self.on_level(x, self.depths.width()), self.on_level(y, self.depths.height()));
         let nearest = ((u + 0.5) as usize, (v + 0.5) as usize);
         let depth = interpolated(&self.depths, self.jump, (u, v));
         let depth = depth.unwrap_or_else(|| self.depths.at(nearest.0, nearest.1));
-        (depth, !view.hidden.at(nearest.0, nearest.1))
+        (depth, view.visibility.at(nearest.0, nearest.1))
     }
 
     /// Lowest and highest relative depth of the pixels `columns` x `rows` of the full size.

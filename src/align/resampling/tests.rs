@@ -5,7 +5,7 @@ use crate::align::motion::Followed;
 use crate::align::motion::bend::{Bend, BendModel, Lens, Radial};
 use crate::align::motion::camera::Camera;
 use crate::align::motion::coordinates::Coordinates;
-use crate::align::motion::relief::{Relief, View};
+use crate::align::motion::relief::{Relief, View, Visibility};
 use crate::align::resampling::lanczos::lanczos3;
 use crate::align::resampling::tile::Source;
 use crate::align::transform::Transform;
@@ -40,9 +40,9 @@ fn bumpy(width: usize, height: usize) -> Motion {
     let depths = Plane::from_rows(width / 2, height / 2, |y, row| {
         row.iter_mut().enumerate().for_each(|(x, q)| *q = if x > y { 9.0 + 0.05 * x as f32 } else { -2.5 });
     });
-    let hidden = depths.map(|q| q > 10.0);
+    let visibility = depths.map(|q| if q > 10.0 { Visibility::Hidden } else { Visibility::Shown });
     let camera = Camera::new(Matrix3x4::new(1.0, 0.01, 2.3, 0.7, -0.01, 1.0, -1.6, 0.4, 1e-5, 2e-5, 1.0, 1e-4));
-    let relief = Relief::new(1, depths, 1.0, vec![Some(View { camera, hidden })]);
+    let relief = Relief::new(1, depths, 1.0, vec![Some(View { camera, visibility })]);
     Motion::unmoved((width, height)).following(Some(&Followed::Depth(Arc::new(relief))), 0)
 }
 

@@ -10,6 +10,7 @@
 
 use crate::align::motion::Motion;
 use crate::align::motion::camera::Camera;
+use crate::align::motion::relief::Visibility;
 use crate::align::resampling::OUTSIDE;
 use crate::align::resampling::lanczos::{BEFORE, TAPS, WEIGHTS, taps_at};
 use crate::align::transform::map;
@@ -211,7 +212,8 @@ impl<T: Copy + Into<f32>> Loops for Tile<'_, '_, T> {
                     let (first, origin) = ((self.columns.start, y), (across.start, down.start));
                     if let Some((relief, view)) = self.motion.relief() {
                         for (x, depth) in self.columns.clone().zip(depths.iter_mut()) {
-                            *depth = relief.at(view, x as f32, y as f32);
+                            let (q, visibility) = relief.at(view, x as f32, y as f32);
+                            *depth = (q, visibility == Visibility::Shown);
                         }
                         positions.find_at_depths(&view.camera, depths, first, origin, last);
                     } else if let Some(bend) = self.motion.bend() {

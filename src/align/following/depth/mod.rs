@@ -81,8 +81,10 @@ pub(super) fn relief(
     let to_finest = (full_to_level(level) * level_to_full(finest), full_to_level(finest) * level_to_full(level));
     let of_finest: Vec<Option<Camera>> = between(&to_finest.0, &to_finest.1);
     let greys: Vec<&Plane<u8>> = pyramids.iter().map(|pyramid| pyramid.level(finest)).collect();
-    let hidden = visibility::hidden(&depths, greys[reference], &greys, &of_finest);
-    let views = full.into_iter().zip(hidden).map(|(camera, hidden)| Some(View { camera: camera?, hidden: hidden? }));
+    let visibilities = visibility::of(&depths, greys[reference], &greys, &of_finest);
+    let view =
+        |(camera, visibility): (Option<Camera>, Option<_>)| Some(View { camera: camera?, visibility: visibility? });
+    let views = full.into_iter().zip(visibilities).map(view);
     Some((Relief::new(finest, depths, jump, views.collect()), geometry.explained))
 }
 

@@ -1,7 +1,7 @@
 //! Visibility: which pixels of the reference something nearer hides in a frame.
 //!
-//! In: the depth of each pixel, the cameras, and the frames on one level. Out: for each frame, a mask of the hidden
-//! pixels. Cost: some twenty operations for each pixel and frame. Source: the depth buffer (Catmull, "A Subdivision
+//! In: the depth of each pixel, the cameras, and the frames on one level. Out: for each frame, the [`Visibility`] of
+//! each pixel. Cost: some twenty operations for each pixel and frame. Source: the depth buffer (Catmull, "A Subdivision
 //! Algorithm for Computer Display of Curved Surfaces", 1974).
 //!
 //! Two pixels of the reference that a frame would show at the same position are a conflict: the frame shows only the
@@ -10,6 +10,7 @@
 
 use crate::align::following::depth::cost_volume::is_usable;
 use crate::align::motion::camera::Camera;
+use crate::align::motion::relief::Visibility;
 use crate::align::photometric::IntensityMap;
 use crate::plane::Plane;
 
@@ -18,31 +19,31 @@ use crate::plane::Plane;
 const APART: f32 = 3.0;
 /// Largest difference of grey values that counts in a conflict; larger ones count as much.
 const MOST_DIFFERENCE: f32 = 30.0;
-/// The pixels around hidden ones show a little of both surfaces: hidden areas are extended by this, in pixels of the
-/// level.
+/// The pixels around hidden ones show a little of both surfaces. This is the width of the area around hidden pixels in
+/// which pixels count as mixed, in pixels of the level.
 const MARGIN: usize = 2;
 /// One of this many pixels is a sample for the intensity map of a frame.
 const EVERY: usize = 16;
 /// Number of a pixel of the frame that shows no pixel of the reference.
 const NONE: u32 = u32::MAX;
 
-/// Returns for each frame that has a camera the pixels of the reference that are hidden in it. `greys` are the frames.
-/// Where the reference is black or clipped, its depth is a guess, so no pixel counts as hidden.
-pub(super) fn hidden(
+/// Returns for each frame that has a camera how it shows the pixels of the reference. `greys` are the frames. Where the
+/// reference is black or clipped, its depth is a guess, so no pixel counts as hidden.
+pub(super) fn of(
     depths: &Plane<f32>,
     reference: &Plane<u8>,
     greys: &[&Plane<u8>],
     cameras: &[Option<Camera>],
-) -> Vec<Option<Plane<bool>>> {
+) -> Vec<Option<Plane<Visibility>>> {
     // The tables of a frame are computed twice, because those of all frames would take much memory.
     let score = |(camera, grey): (&Option<Camera>, &&Plane<u8>)| {
         camera.as_ref().map(|camera| Shown::new(depths, camera).score(reference, grey))
     };
     let is_high_near = cameras.iter().zip(greys).filter_map(score).sum::<f64>() >= 0.0;
-    let hidden = |camera: &Option<Camera>| {
-        camera.as_ref().map(|camera| Shown::new(depths, camera).hidden(camera, depths, reference, is_high_near))
+    let visibility = |camera: &Option<Camera>| {
+        camera.as_ref().map(|camera| Shown::new(depths, camera).visibility(camera, depths, reference, is_high_near))
     };
-    cameras.iter().map(hidden).collect()
+    cameras.iter().map(visibility).collect()
 }
 
 /// The pixel of a frame of `size` that shows the pixel (x, y) of the reference with relative depth `q`; none outside.
@@ -111,8 +112,14 @@ impl Shown {
         conflicts.iter().map(|&p| f64::from(difference(p, low) - difference(p, high))).sum()
     }
 
-    /// The pixels of the reference that are hidden in the frame.
-    fn hidden(&self, camera: &Camera, depths: &Plane<f32>, reference: &Plane<u8>, is_high_near: bool) -> Plane<bool> {
+    /// How the frame shows the pixels of the reference.
+    fn visibility(
+        &self,
+        camera: &Camera,
+        depths: &Plane<f32>,
+        reference: &Plane<u8>,
+        is_high_near: bool,
+    ) -> Plane<Visibility> {
         let (width, height) = self.size;
         let (near, sign) = (&self.from[usize::from(is_high_near)], if is_high_near { 1.0 } else { -1.0 });
         let depth = |i: u32| sign * depths.as_slice()[i as usize];
@@ -128,9 +135,15 @@ impl Shown {
         });
         Plane::from_rows(width, height, |y, row| {
             let rows = y.saturating_sub(MARGIN)..(y + MARGIN + 1).min(height);
-            for (x, is_hidden) in row.iter_mut().enumerate() {
+            for (x, visibility) in row.iter_mut().enumerate() {
                 let columns = x.saturating_sub(MARGIN)..(x + MARGIN + 1).min(width);
-                *is_hidden = rows.clone().any(|y| hidden.row(y)[columns.clone()].contains(&true));
+                *visibility = if hidden.at(x, y) {
+                    Visibility::Hidden
+                } else if rows.clone().any(|y| hidden.row(y)[columns.clone()].contains(&true)) {
+                    Visibility::Mixed
+                } else {
+                    Visibility::Shown
+                };
             }
         })
     }
