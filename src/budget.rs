@@ -72,7 +72,7 @@ const SMOOTHED: u64 = 72;
 /// reference that are compared.
 const COMPARED: u64 = 8;
 /// Bytes per pixel of the finest level of the refinement that are kept for the merge: the depth. One byte more is kept
-/// for each frame: whether the pixel is hidden.
+/// for each frame: how it shows the pixel.
 const KEPT_RELIEF: u64 = 4;
 /// Bytes per pixel of that level of the tables of one frame from which hidden pixels are found.
 const HIDING: u64 = 9;

@@ -37,6 +37,20 @@ pub(super) struct Choice {
     pub(super) certainty: f32,
 }
 
+/// Chooses the label of each pixel of `volume`, strip by strip. `grey` is the reference.
+pub(super) fn choose(volume: &CostVolume, grey: &Plane<u8>) -> Plane<Choice> {
+    let (width, height) = (volume.width, volume.height);
+    let rows = (STRIP_COSTS / (width * volume.labels)).saturating_sub(2 * BESIDE).max(BESIDE);
+    let mut choices = Vec::with_capacity(width * height);
+    for first in (0..height).step_by(rows) {
+        let end = (first + rows).min(height);
+        let strip = Strip { volume, grey, rows: first.saturating_sub(BESIDE)..(end + BESIDE).min(height) };
+        let chosen = strip.choose();
+        choices.extend_from_slice(chosen.rows(first - strip.rows.start..end - strip.rows.start));
+    }
+    Plane::from_vec(width, height, choices)
+}
+
 /// Some rows of a volume, and the grey values of the reference there.
 struct Strip<'a> {
     volume: &'a CostVolume,
@@ -52,26 +66,11 @@ impl Strip<'_> {
     }
 
     /// The grey values of row `y` of the strip.
+    #[inline(always)]
     fn grey(&self, y: usize) -> &[u8] {
         self.grey.row(self.rows.start + y)
     }
-}
 
-/// Chooses the label of each pixel of `volume`, strip by strip. `grey` is the reference.
-pub(super) fn choose(volume: &CostVolume, grey: &Plane<u8>) -> Plane<Choice> {
-    let (width, height) = (volume.width, volume.height);
-    let rows = (STRIP_COSTS / (width * volume.labels)).saturating_sub(2 * BESIDE).max(BESIDE);
-    let mut choices = Vec::with_capacity(width * height);
-    for first in (0..height).step_by(rows) {
-        let end = (first + rows).min(height);
-        let strip = Strip { volume, grey, rows: first.saturating_sub(BESIDE)..(end + BESIDE).min(height) };
-        let chosen = strip.choose();
-        choices.extend_from_slice(chosen.rows(first - strip.rows.start..end - strip.rows.start));
-    }
-    Plane::from_vec(width, height, choices)
-}
-
-impl Strip<'_> {
     /// Chooses the label of each pixel of the strip.
     fn choose(&self) -> Plane<Choice> {
         let (width, labels) = (self.volume.width, self.volume.labels);
@@ -109,7 +108,7 @@ impl Strip<'_> {
         for i in 0..height {
             let y = if is_down { i } else { height - 1 - i };
             let last = if is_down { y.wrapping_sub(1) } else { y + 1 };
-            let row = Row { strip: self, y, last: (last < height).then_some(last), slant };
+            let row = Row { strip: self, y, y_before: (last < height).then_some(last), slant };
             let sums = &mut sums[y * width * labels..(y + 1) * width * labels];
             let paths = here.costs.par_chunks_mut(BLOCK * stride).zip(here.least.par_chunks_mut(BLOCK));
             sums.par_chunks_mut(BLOCK * labels).zip(paths).enumerate().for_each(|(block, (sums, (costs, least)))| {
@@ -224,7 +223,7 @@ struct Row<'a> {
     strip: &'a Strip<'a>,
     y: usize,
     /// The row from which the paths come; none at the first row.
-    last: Option<usize>,
+    y_before: Option<usize>,
     slant: isize,
 }
 
@@ -244,9 +243,9 @@ impl Loops for Block<'_> {
 
     #[inline(always)]
     fn run(self) {
-        let Row { strip, y, last, slant } = *self.row;
+        let Row { strip, y, y_before, slant } = *self.row;
         let (labels, scale, grey) = (strip.volume.labels, strip.volume.scale, strip.grey(y));
-        let grey_before = last.map(|last| strip.grey(last));
+        let grey_before = y_before.map(|y| strip.grey(y));
         let stride = labels + 2;
         let paths = self.costs.chunks_exact_mut(stride).zip(self.least.iter_mut());
         for ((i, (here, least)), sums) in paths.enumerate().zip(self.sums.chunks_exact_mut(labels)) {

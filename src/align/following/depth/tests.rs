@@ -125,13 +125,18 @@ fn noisy_volume(width: usize, height: usize, labels: usize) -> CostVolume {
     CostVolume { width, height, labels, costs, scale: 40.0 }
 }
 
+/// A picture with pseudorandom grey values.
+fn noisy_grey(width: usize, height: usize) -> Plane<u8> {
+    Plane::from_rows(width, height, |y, row: &mut [u8]| {
+        row.iter_mut().enumerate().for_each(|(x, v)| *v = (255.0 * uniform(6, x as i64, y as i64)) as u8);
+    })
+}
+
 #[test]
 fn semi_global_matching_is_that_of_the_paper() {
     let (width, height, labels) = (13, 9, 6);
     let volume = noisy_volume(width, height, labels);
-    let grey = Plane::from_rows(width, height, |y, row: &mut [u8]| {
-        row.iter_mut().enumerate().for_each(|(x, v)| *v = (255.0 * uniform(6, x as i64, y as i64)) as u8);
-    });
+    let grey = noisy_grey(width, height);
     let inside = |x: isize, y: isize| x >= 0 && y >= 0 && x < width as isize && y < height as isize;
     let mut sums = vec![0u32; width * height * labels];
     for (dx, dy) in [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1), (1, -1), (-1, 1)] {
@@ -186,9 +191,7 @@ fn strips_of_a_volume_are_matched_with_the_rows_beside_them() {
     // There are 6 x 2^20 costs to a strip, so it has 1536 rows, of which 16 on each side belong to its neighbours.
     let (width, height, labels) = (64, 1600, 64);
     let volume = noisy_volume(width, height, labels);
-    let grey = Plane::from_rows(width, height, |y, row: &mut [u8]| {
-        row.iter_mut().enumerate().for_each(|(x, v)| *v = (255.0 * uniform(6, x as i64, y as i64)) as u8);
-    });
+    let grey = noisy_grey(width, height);
     let part = |rows: std::ops::Range<usize>| {
         let costs = volume.costs[rows.start * width * labels..rows.end * width * labels].to_vec();
         let grey = Plane::from_vec(width, rows.len(), grey.rows(rows.clone()).to_vec());
