@@ -118,8 +118,8 @@ fn sky_that_is_clipped_in_all_frames_has_no_outlines_of_what_moved() {
     let bracket = Bracket::new(frames, &crate::bracket::ReferenceChoice::Number(3)).unwrap();
     let alignment = Alignment::unmoved(&bracket);
     let found = merged(&bracket, &alignment, Some(&seek(&bracket, &alignment)));
-    // The shortest frame is clipped, so it gives a lower bound of the radiance of the sky. Where an object hides the sky
-    // in that frame, and around the objects, the result is about this bound, too.
+    // The shortest frame is clipped, so it gives a lower bound of the radiance of the sky. Where an object hides the
+    // sky in that frame, and around the objects, the result is about this bound, too.
     let bound = found.at(5, 5)[1];
     for x in 0..SIZE.0 {
         assert!(found.at(x, 90)[1] > 0.9 * bound, "{x}: {} for {bound}", found.at(x, 90)[1]);
