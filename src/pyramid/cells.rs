@@ -76,6 +76,11 @@ pub fn gathered<T: Copy + Default + Send + Sync>(
     })
 }
 
+/// Returns the true cells of `plane`, and the cells within `reach` cells of a true one, horizontally and vertically.
+pub fn grown_by(plane: &Plane<bool>, reach: usize) -> Plane<bool> {
+    gathered(plane, reach, |is, near| *is |= near)
+}
+
 /// The positions within `reach` of `i` in 0..`size`.
 pub fn near(i: usize, reach: usize, size: usize) -> Range<usize> {
     i.saturating_sub(reach)..(i + reach + 1).min(size)

@@ -40,6 +40,7 @@ use crate::bracket::{Bracket, Frame};
 use crate::budget::Demand;
 use crate::error::{Error, Result};
 use crate::plane::Plane;
+use crate::pyramid::cells::grown_by;
 use crate::response::{CODES, ResponseCurve};
 use cells::{Cell, Meaning};
 #[doc(hidden)]
@@ -219,7 +220,7 @@ pub fn find(
             take_over(&mut standard, &frame, &moved, &meanings);
             let mut kept = region::kept(&moved, MARGIN, FADE);
             if i < reference {
-                keep_beside(&mut kept, &region::grown_by(&moved, EDGE), (&frame, &shown));
+                keep_beside(&mut kept, &grown_by(&moved, EDGE), (&frame, &shown));
                 shorter.add(&frame, &kept);
                 black.push((i, underexposed(&frame, &shown)));
             }

@@ -8,7 +8,7 @@
 //! times the weight of the reference.
 
 use crate::plane::Plane;
-use crate::pyramid::cells::{gathered, near};
+use crate::pyramid::cells::{gathered, grown_by, near};
 
 /// Returns the connected parts of `plane`, from top to bottom: the columns and rows of each.
 pub fn parts(plane: &Plane<bool>) -> Vec<Vec<(usize, usize)>> {
@@ -43,11 +43,6 @@ fn taken(left: &mut Plane<bool>, at: (usize, usize)) -> Vec<(usize, usize)> {
 pub fn is_border(plane: &Plane<bool>, (x, y): (usize, usize)) -> bool {
     let is_inside = x > 0 && y > 0 && x + 1 < plane.width() && y + 1 < plane.height();
     !(is_inside && plane.at(x - 1, y) && plane.at(x + 1, y) && plane.at(x, y - 1) && plane.at(x, y + 1))
-}
-
-/// Returns the true cells of `plane`, and the cells within `reach` cells of a true one, horizontally and vertically.
-pub fn grown_by(plane: &Plane<bool>, reach: usize) -> Plane<bool> {
-    gathered(plane, reach, |is, near| *is |= near)
 }
 
 /// Closes gaps that are at most `2 * reach` cells wide.

@@ -16,13 +16,13 @@ use rayon::prelude::*;
 use std::ops::Range;
 
 /// Windows reach this far from their centre, in pixels of the level.
-const RADIUS: usize = 2;
+pub(super) const RADIUS: usize = 2;
 /// Side of a window.
-const SIDE: usize = 2 * RADIUS + 1;
+pub(super) const SIDE: usize = 2 * RADIUS + 1;
 /// Rows of a band. Narrower bands compute more rows twice, wider bands do not fit into the cache.
 const ROWS: usize = 16;
 /// Variance of the noise of a grey value.
-const NOISE: f32 = 2.0;
+pub(super) const NOISE: f32 = 2.0;
 /// The share of the variance of a window that is unexplained at its true position.
 const UNEXPLAINED: f32 = 0.03;
 /// A window with fewer usable pixels says nothing.
@@ -92,9 +92,10 @@ impl CostVolume {
     pub(super) fn new((width, height): (usize, usize), frames: &[Compared], labels: &Labels) -> Self {
         let most = -0.5 * log2(UNEXPLAINED) * std::f32::consts::LN_2 * frames.len() as f32;
         let scale = 255.0 / (most + UNEXPECTED);
-        let unknown = 255 - (UNEXPECTED * scale + 0.5) as u8;
-        let mut costs = vec![unknown; width * height * labels.count];
-        costs.par_chunks_mut(ROWS * width * labels.count).enumerate().for_each_init(
+        let mut volume = CostVolume { width, height, labels: labels.count, costs: Vec::new(), scale };
+        let unknown = volume.unknown();
+        volume.costs = vec![unknown; width * height * labels.count];
+        volume.costs.par_chunks_mut(ROWS * width * labels.count).enumerate().for_each_init(
             || Band::new(width),
             |band, (i, costs)| {
                 let rows = i * ROWS..((i + 1) * ROWS).min(height);
@@ -106,19 +107,25 @@ impl CostVolume {
                 }
             },
         );
-        CostVolume { width, height, labels: labels.count, costs, scale }
+        volume
+    }
+
+    /// The cost of a label that explains nothing.
+    pub(super) fn unknown(&self) -> u8 {
+        255 - (UNEXPECTED * self.scale + 0.5) as u8
     }
 
     /// Raises the costs of labels that are far from those that `expected` gives for the pixels (x, y), by at most
-    /// [`UNEXPECTED`].
-    pub(super) fn expect(&mut self, expected: impl Fn(usize, usize) -> f32 + Sync) {
+    /// [`UNEXPECTED`]. Each has a handicap: it counts as if it were farther away, by so many labels.
+    pub(super) fn expect<L: Iterator<Item = (f32, f32)>>(&mut self, expected: impl Fn(usize, usize) -> L + Sync) {
         let (width, labels, most) = (self.width, self.labels, UNEXPECTED * self.scale);
         self.costs.par_chunks_mut(width * labels).enumerate().for_each(|(y, costs)| {
             for (x, costs) in costs.chunks_exact_mut(labels).enumerate() {
-                let expected = expected(x, y);
+                let expected: Vec<(f32, f32)> = expected(x, y).collect();
                 for (label, cost) in costs.iter_mut().enumerate() {
-                    let distance = (label as f32 - expected).abs();
-                    *cost = cost.saturating_add((most * (distance / FAR).min(1.0) + 0.5) as u8);
+                    let distances = expected.iter().map(|(at, handicap)| (label as f32 - at).abs() + handicap);
+                    let distance = distances.fold(FAR, f32::min);
+                    *cost = cost.saturating_add((most * (distance / FAR) + 0.5) as u8);
                 }
             }
         });

@@ -9,22 +9,25 @@
 //! cause in all frames, the depth. It is measured from all frames together: where one frame is clipped, others are not.
 //!
 //! 1. `geometry`: the camera motions that explain the displacements of patches.
-//! 2. `cost_volume`: how well each depth explains the frames. `semi_global`: the best depths. `ground`: the depth where
-//!    nothing is known. `smoothing`: planes stay planes.
+//! 2. `cost_volume`: how well each depth explains the frames. `semi_global`: the best depths. `windows`: the costs of
+//!    pixels near jumps. `surfaces`: planes of the scene, for pixels of which nothing is known. `jumps`: jumps are at
+//!    the edges of the picture. `smoothing`: planes stay planes.
 //! 3. `upsampling`: the depths of a finer level. `visibility`: which pixels something nearer hides in a frame.
 
 mod cost_volume;
 mod geometry;
-mod ground;
+mod jumps;
 mod semi_global;
 mod smoothing;
+mod surfaces;
 mod upsampling;
 mod visibility;
+mod windows;
 
 use crate::align::following::depth::cost_volume::{Compared, CostVolume, Labels};
 use crate::align::following::depth::geometry::Geometry;
 use crate::align::following::depth::geometry::camera_motion::CameraMotion;
-use crate::align::following::depth::ground::Ground;
+use crate::align::following::depth::surfaces::Surfaces;
 use crate::align::following::explained::Explained;
 use crate::align::following::observations::Observation;
 use crate::align::following::{Observed, Picture};
@@ -114,11 +117,16 @@ fn geometry(frames: &[Option<Observed>], unit: f64) -> Option<Geometry> {
 fn labelled(reference: &Plane<u8>, frames: Vec<Compared>, labels: &Labels) -> Plane<f32> {
     let mut volume = CostVolume::new((reference.width(), reference.height()), &frames, labels);
     drop(frames);
-    let mut choices = semi_global::choose(&volume, reference);
-    if let Some(ground) = Ground::of(&choices) {
-        drop(choices);
-        volume.expect(|x, y| ground.label(x, y));
-        choices = semi_global::choose(&volume, reference);
+    let first = semi_global::choose(&volume, reference);
+    windows::select(&mut volume, &first, reference);
+    let surfaces = Surfaces::of(&first);
+    drop(first);
+    if let Some(surfaces) = &surfaces {
+        volume.expect(|x, y| surfaces.labels(x, y));
+    }
+    let mut choices = jumps::at_edges(&semi_global::choose(&volume, reference), reference);
+    if let Some(surfaces) = &surfaces {
+        surfaces.attract(&mut choices, &volume);
     }
     drop(volume);
     smoothing::smooth(&choices, reference)

@@ -8,6 +8,7 @@
 //! min over q and v of sum a1 w |grad q - v| + a0 |E v| + c |q - q0|: v is the slope of the surface, E v the
 //! symmetrised derivative of v, w is small at edges of the picture, c is the certainty of the label q0.
 
+use crate::align::following::depth::jumps::JUMP;
 use crate::align::following::depth::semi_global::Choice;
 use crate::plane::Plane;
 use crate::simd::{Loops, at_least, at_most, vectorised};
@@ -20,11 +21,8 @@ const SLOPE: f32 = 4.0;
 /// The weight w at an edge of d grey values is exp(-d / `EDGE`), plus [`LEAST_WEIGHT`].
 const EDGE: f32 = 6.0;
 const LEAST_WEIGHT: f32 = 0.02;
-/// Where the chosen labels of neighbours differ by more than this, the weight is as much lower, so that all jumps cost
-/// the same.
-const JUMP: f32 = 1.5;
 /// Number of iterations.
-const ITERATIONS: usize = 150;
+const ITERATIONS: usize = 90;
 /// Step of the iteration: 1 / L, where L^2 = 12 bounds the squared norm of the derivatives.
 const STEP: f32 = 0.288_675_13;
 
@@ -55,7 +53,7 @@ pub(super) fn smooth(choices: &Plane<Choice>, grey: &Plane<u8>) -> Plane<f32> {
     Plane::from_rows(width, height, |y, row| row.copy_from_slice(&primal.row(y)[LABEL * width..][..width]))
 }
 
-/// The weight w of each pixel, multiplied by [`GRADIENT`].
+/// The weight w of each pixel, multiplied by [`GRADIENT`]. It is lower at jumps, so that all jumps cost the same.
 fn edge_weights(choices: &Plane<Choice>, grey: &Plane<u8>) -> Plane<f32> {
     let weights: Vec<f32> = (0..=255u8).map(|d| GRADIENT * (libm::expf(-f32::from(d) / EDGE) + LEAST_WEIGHT)).collect();
     let (width, height) = (grey.width(), grey.height());
