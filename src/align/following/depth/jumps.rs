@@ -131,7 +131,9 @@ mod tests {
         assert_eq!((0..48).filter(|&x| is_near.at(x, 7)).collect::<Vec<_>>(), [15, 16, 17, 18, 19, 27, 28, 29, 30, 31]);
         let found = at_edges(&choices, &grey);
         for (x, y) in (0..20).flat_map(|y| (0..48).map(move |x| (x, y))) {
-            assert_eq!(found.at(x, y).label, if is_bar(x) { 9.0 } else { 2.0 }, "({x}, {y})");
+            // The label is a quotient of sums of floats.
+            let off = found.at(x, y).label - if is_bar(x) { 9.0 } else { 2.0 };
+            assert!(off.abs() < 1e-4, "({x}, {y}): {off}");
         }
     }
 }

@@ -169,25 +169,24 @@ mod tests {
     #[test]
     fn pixels_move_onto_surfaces_that_explain_the_frames_as_well() {
         let surfaces = Surfaces::of(&choices(1.0)).unwrap();
-        let mut found = choices(1.0);
         let (width, height, labels) = (120, 90, 20);
-        // In the upper half, nothing is known; in the lower half, only the chosen label explains the frames.
-        let given = found.clone();
+        // In the upper half, nothing is known. In the lower half, all labels are 1.2 too high, and no others explain the
+        // frames.
+        let mut given = choices(1.0);
+        given.as_mut_slice()[45 * width..].iter_mut().for_each(|choice| choice.label += 1.2);
         let cost = |i: usize| {
-            let (pixel, label) = (i / labels, i % labels);
-            let (x, y) = (pixel % width, pixel / width);
-            if y < 45 || label == (given.at(x, y).label + 0.5) as usize { 200 } else { 250 }
+            let (x, y) = (i / labels % width, i / labels / width);
+            if y < 45 || i % labels == (given.at(x, y).label + 0.5) as usize { 200 } else { 250 }
         };
         let costs = (0..width * height * labels).map(cost).collect();
+        let mut found = given.clone();
         surfaces.attract(&mut found, &CostVolume { width, height, labels, costs, scale: 40.0 });
-        for (x, y) in (0..height).flat_map(|y| (0..width).map(move |x| (x, y))) {
-            let on = (found.at(x, y).label - truth(x, y).0).abs();
-            if y < 45 {
-                assert!(on < 0.1, "({x}, {y}): {on}");
-            }
+        for (x, y) in (0..45).flat_map(|y| (0..width).map(move |x| (x, y))) {
+            let off = (found.at(x, y).label - truth(x, y).0).abs();
+            assert!(off < 0.1, "({x}, {y}): {off}");
         }
-        let stays = |y: usize| (0..width).filter(|&x| found.at(x, y) == given.at(x, y)).count();
-        // A label next to a surface costs up to 8 of the 50 more.
-        assert!((45..height).map(stays).sum::<usize>() > 3 * width * (height - 45) / 4);
+        // The truth is at least 0.2 labels from the label that explains the frames, which costs 10 of the 50 more; the
+        // limit is 8.
+        assert_eq!(found.rows(45..height), given.rows(45..height));
     }
 }
