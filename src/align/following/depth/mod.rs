@@ -117,15 +117,13 @@ fn geometry(frames: &[Option<Observed>], unit: f64) -> Option<Geometry> {
 fn labelled(reference: &Plane<u8>, frames: Vec<Compared>, labels: &Labels) -> Plane<f32> {
     let mut volume = CostVolume::new((reference.width(), reference.height()), &frames, labels);
     drop(frames);
-    let first = semi_global::choose(&volume, reference);
-    windows::select(&mut volume, &first, reference);
-    let surfaces = Surfaces::of(&first);
-    drop(first);
-    if let Some(surfaces) = &surfaces {
+    let mut choices = semi_global::choose(&volume, reference);
+    // In a scene without planes, such as hills, depth jumps rarely, and most of the jumps that are found are errors.
+    if let Some(surfaces) = Surfaces::of(&choices) {
+        windows::select(&mut volume, &choices, reference);
+        drop(choices);
         volume.expect(|x, y| surfaces.labels(x, y));
-    }
-    let mut choices = jumps::at_edges(&semi_global::choose(&volume, reference), reference);
-    if let Some(surfaces) = &surfaces {
+        choices = jumps::at_edges(&semi_global::choose(&volume, reference), reference);
         surfaces.attract(&mut choices, &volume);
     }
     drop(volume);

@@ -22,6 +22,9 @@ const CERTAIN: f32 = 0.3;
 const NEAR: f64 = 1.0;
 /// The pixels within this distance of a surface are not on another one, in labels.
 const TAKEN: f64 = 2.0;
+/// At most this share of the pixels within [`TAKEN`] of a plane are farther away than [`NEAR`]. Where a plane touches a
+/// curved surface, their number rises with the distance or its square root, so the share is at least 0.29.
+const BEYOND: f64 = 0.2;
 /// Approximate number of pixels that are looked at.
 const SAMPLES: usize = 4000;
 /// Number of planes that are tried for each surface. If half of the pixels are on it, the probability that none of them
@@ -103,7 +106,7 @@ fn distance(surface: &Vector3<f64>, (at, label): &Sample) -> f64 {
     (surface.dot(at) - label).abs()
 }
 
-/// The plane that explains most samples; none if it explains fewer than `least`.
+/// The plane that explains most samples; none if it explains fewer than `least`, or only touches a curved surface.
 fn best(samples: &[Sample], least: f64) -> Option<Vector3<f64>> {
     let support = |plane: &Vector3<f64>| samples.iter().filter(|sample| distance(plane, sample) <= NEAR).count();
     let tried = (0..TRIALS).filter_map(|trial| {
@@ -125,7 +128,8 @@ fn best(samples: &[Sample], least: f64) -> Option<Vector3<f64>> {
         }
         plane = normal.try_inverse().map_or(plane, |inverse| inverse * right);
     }
-    Some(plane)
+    let taken = samples.iter().filter(|sample| distance(&plane, sample) <= TAKEN).count();
+    (support(&plane) as f64 >= (1.0 - BEYOND) * taken as f64).then_some(plane)
 }
 
 #[cfg(test)]
@@ -164,14 +168,22 @@ mod tests {
             }
         });
         assert!(Surfaces::of(&curved).is_none(), "no plane explains half of a curved scene");
+        // Five eighths of the labels are within one of the plane, but the others are not far from it.
+        let rough = Plane::from_rows(120, 90, |y, row: &mut [Choice]| {
+            for (x, choice) in row.iter_mut().enumerate() {
+                let off = 3.2 * (uniform(5, x as i64, y as i64) as f32 - 0.5);
+                *choice = Choice { label: 6.0 + off, certainty: 1.0 };
+            }
+        });
+        assert!(Surfaces::of(&rough).is_none(), "the scene is not in the plane");
     }
 
     #[test]
     fn pixels_move_onto_surfaces_that_explain_the_frames_as_well() {
         let surfaces = Surfaces::of(&choices(1.0)).unwrap();
         let (width, height, labels) = (120, 90, 20);
-        // In the upper half, nothing is known. In the lower half, all labels are 1.2 too high, and no others explain the
-        // frames.
+        // In the upper half, nothing is known. In the lower half, all labels are 1.2 too high, and no others explain
+        // the frames.
         let mut given = choices(1.0);
         given.as_mut_slice()[45 * width..].iter_mut().for_each(|choice| choice.label += 1.2);
         let cost = |i: usize| {
