@@ -74,8 +74,8 @@ const COMPARED: u64 = 8;
 /// Bytes per pixel of the finest level of the refinement that are kept for the merge: the depth. One byte more is kept
 /// for each frame: how it shows the pixel.
 const KEPT_RELIEF: u64 = 4;
-/// Bytes per pixel of that level of the tables of one frame from which hidden pixels are found.
-const HIDING: u64 = 9;
+/// Bytes per pixel of that level of the tables of one frame from which hidden pixels are found, and of two masks.
+const HIDING: u64 = 10;
 
 /// The stages of a run that determine its memory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

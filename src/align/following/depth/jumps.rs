@@ -38,7 +38,7 @@ pub(super) fn at_edges(choices: &Plane<Choice>, grey: &Plane<u8>) -> Plane<Choic
     let is_near = around(choices, REACH);
     Plane::from_rows(width, height, |y, row: &mut [Choice]| {
         row.copy_from_slice(choices.row(y));
-        let mut labels = Labels::default();
+        let mut labels = WeightedLabels::default();
         for (x, choice) in row.iter_mut().enumerate().filter(|(x, _)| is_near.at(*x, y)) {
             let here = grey.at(x, y);
             for v in near(y, REACH, height) {
@@ -54,12 +54,12 @@ pub(super) fn at_edges(choices: &Plane<Choice>, grey: &Plane<u8>) -> Plane<Choic
 
 /// Labels with weights, in bins: each holds the labels that round to the same number.
 #[derive(Debug, Default)]
-struct Labels {
+struct WeightedLabels {
     /// For each bin, the sum of the weights, and that of the weighted labels.
     bins: Vec<[f32; 2]>,
 }
 
-impl Labels {
+impl WeightedLabels {
     /// Adds a label.
     #[inline]
     fn add(&mut self, label: f32, weight: f32) {
@@ -92,7 +92,7 @@ mod tests {
 
     #[test]
     fn median_is_near_that_of_the_sorted_labels() {
-        let mut labels = Labels::default();
+        let mut labels = WeightedLabels::default();
         for seed in 0..50 {
             let count = 1 + (60.0 * uniform(seed, 0, 0)) as i64;
             let values = (1..=count).map(|i| (20.0 * uniform(seed, i, 1) as f32, uniform(seed, i, 2) as f32));

@@ -9,8 +9,8 @@
 //! cause in all frames, the depth. It is measured from all frames together: where one frame is clipped, others are not.
 //!
 //! 1. `geometry`: the camera motions that explain the displacements of patches.
-//! 2. `cost_volume`: how well each depth explains the frames. `semi_global`: the best depths. `windows`: the costs of
-//!    pixels near jumps. `surfaces`: planes of the scene, for pixels of which nothing is known. `jumps`: jumps are at
+//! 2. `cost_volume`: how well each depth explains the frames. `semi_global`: the best depths. `surfaces`: planes of the
+//!    scene, for pixels of which nothing is known. `windows`: the costs of pixels near jumps. `jumps`: jumps are at
 //!    the edges of the picture. `smoothing`: planes stay planes.
 //! 3. `upsampling`: the depths of a finer level. `visibility`: which pixels something nearer hides in a frame.
 
@@ -46,9 +46,6 @@ const LABEL_PX: f64 = 0.5;
 const MOST_LABELS: usize = Demand::MOST_LABELS as usize;
 /// The labels cover the depths of all patches but this share at each end, and a margin.
 const OUTLYING: f64 = 0.005;
-/// Depths of neighbours differ by at least this if they are on different surfaces: the displacement in the frame that
-/// moves most, in pixels of the level.
-const JUMP_PX: f64 = 1.0;
 
 /// Measures the depth of the scene; none if depth does not explain what homographies leave unexplained. A frame that
 /// was rejected gets a view if it agrees with the depth that the other frames show. Also returns how well depth
@@ -72,7 +69,7 @@ pub(super) fn relief(
     let compared: Vec<Compared> = (0..pyramids.len()).filter_map(compared).collect();
     let smooth = labelled(greys[reference], compared, &labels);
     let mut depths = smooth.map(|label| labels.depth(label) as f32);
-    let jump = (labels.step * JUMP_PX / LABEL_PX) as f32;
+    let jump = labels.step as f32 * jumps::JUMP;
     let finest = finest_level(&pyramids[reference]);
     for level in (finest..level).rev() {
         let [coarse, fine] = [level + 1, level].map(|level| pyramids[reference].level(level));

@@ -241,6 +241,14 @@ fn costs_follow_the_correlation_of_windows() {
 }
 
 #[test]
+fn unexpected_labels_cost_up_to_a_limit() {
+    let mut volume = CostVolume { width: 1, height: 1, labels: 12, costs: vec![100; 12], scale: 400.0 };
+    volume.expect(|_, _| [(1.0, 0.0), (9.0, 2.0)].into_iter());
+    // The limit is 0.06 natural units, which are 24 units of cost, and is reached four labels away.
+    assert_eq!(volume.costs, [106, 100, 106, 112, 118, 124, 124, 124, 118, 112, 118, 124]);
+}
+
+#[test]
 fn planes_stay_planes_and_jumps_stay_sharp() {
     let (width, height) = (60, 40);
     let truth = |x: usize, y: usize| if x < 30 { 4.0 + 0.1 * x as f32 } else { 12.0 - 0.05 * y as f32 };

@@ -13,6 +13,7 @@ use crate::align::motion::camera::Camera;
 use crate::align::motion::relief::Visibility;
 use crate::align::photometric::IntensityMap;
 use crate::plane::Plane;
+use crate::pyramid::cells::grown_by;
 
 /// Pixels of the reference at a greater distance than this from each other that a frame shows within 1.5 pixels are on
 /// different surfaces. In pixels of the level.
@@ -133,16 +134,13 @@ impl Shown {
                 *is_hidden = around.map(|p| near[p]).any(|j| j != NONE && depth(j) > depth(i) && self.are_apart(i, j));
             }
         });
+        let is_beside = grown_by(&hidden, MARGIN);
         Plane::from_rows(width, height, |y, row| {
-            let rows = y.saturating_sub(MARGIN)..(y + MARGIN + 1).min(height);
             for (x, visibility) in row.iter_mut().enumerate() {
-                let columns = x.saturating_sub(MARGIN)..(x + MARGIN + 1).min(width);
-                *visibility = if hidden.at(x, y) {
-                    Visibility::Hidden
-                } else if rows.clone().any(|y| hidden.row(y)[columns.clone()].contains(&true)) {
-                    Visibility::Mixed
-                } else {
-                    Visibility::Shown
+                *visibility = match (hidden.at(x, y), is_beside.at(x, y)) {
+                    (true, _) => Visibility::Hidden,
+                    (false, true) => Visibility::Mixed,
+                    (false, false) => Visibility::Shown,
                 };
             }
         })

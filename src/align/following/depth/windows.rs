@@ -20,7 +20,7 @@ use std::ops::Range;
 const REACH: usize = 2 * RADIUS;
 /// A pixel counts half if its grey value differs by this.
 const LIKE: f32 = 20.0;
-/// Each pixel between the pixel and the centre of its window counts as much as this share of a pixel unlike it.
+/// A window that is one pixel farther away is as good if it has this many pixels more that are like the pixel.
 const DISTANCE: f32 = 0.3;
 /// The windows on the other side are up to this far away.
 const OTHER: usize = SIDE - 1;
@@ -28,6 +28,8 @@ const OTHER: usize = SIDE - 1;
 const CENTRES: usize = 2 * OTHER + 1;
 /// Side of the square of the pixels of these windows.
 const PIXELS: usize = CENTRES + SIDE - 1;
+/// Width of the border of a [`Padded`] picture.
+const BORDER: usize = PIXELS / 2;
 /// Number of rows whose costs are replaced together, at least [`OTHER`].
 const ROWS: usize = 32;
 
@@ -122,9 +124,6 @@ impl Selected {
     }
 }
 
-/// Width of the border of a [`Padded`] picture.
-const BORDER: usize = PIXELS / 2;
-
 /// A picture with a border, in which the pixels at its sides are repeated.
 struct Padded {
     /// Size without the border.
@@ -215,22 +214,13 @@ mod tests {
         // The bright surface has label `bright`; windows across the outline have label 4; the dark one says nothing.
         let volume = |bright: usize| {
             let mut volume = CostVolume { width, height, labels, costs: Vec::new(), scale: 40.0 };
-            let cost = |i: usize| match ((i / labels) % width, i % labels) {
-                (0..18, _) => volume.unknown(),
-                (18..22, label) => {
-                    if label == 4 {
-                        100
-                    } else {
-                        volume.unknown()
-                    }
-                }
-                (_, label) => {
-                    if label == bright {
-                        100
-                    } else {
-                        volume.unknown()
-                    }
-                }
+            let cost = |i: usize| {
+                let explains = match (i / labels) % width {
+                    0..18 => false,
+                    18..22 => i % labels == 4,
+                    _ => i % labels == bright,
+                };
+                if explains { 100 } else { volume.unknown() }
             };
             volume.costs = (0..width * height * labels).map(cost).collect();
             volume
