@@ -16,7 +16,7 @@ mod homography;
 mod observations;
 
 use crate::align::following::bend::{Bends, lens, shutter};
-use crate::align::following::explained::{Explained, LEAST_DISPLACED, LEAST_OBSERVED};
+use crate::align::following::explained::{Explained, LEAST_OBSERVED};
 use crate::align::following::homography::Homography;
 use crate::align::following::observations::Observation;
 use crate::align::grey::{GreyPyramid, measured_level};
@@ -34,6 +34,8 @@ use std::sync::Arc;
 
 /// Bends are fitted only if the errors of frames are at least this, in pixels of the full size.
 const LEAST_ERROR_PX: f64 = 0.1;
+/// Depth is measured only if at least this share of the parts of a frame are displaced.
+const LEAST_DISPLACED: f64 = 0.02;
 /// Number of observations of a frame to which bends and cameras are fitted. They have at most 32 parameters.
 const MOST_FITTED: usize = 1500;
 /// If a motion leaves this share of the patches of a frame unexplained, its confidence is one half.
