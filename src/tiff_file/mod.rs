@@ -5,10 +5,13 @@
 //! interleaved. Cost: each directory is read, and the samples are copied once. Source: TIFF 6.0 (sections 2, 8 and
 //! 15); libtiff, `tif_read.c`, for FillOrder; TIFF/EP and DNG for the tags of camera raw files.
 
+mod directories;
 mod samples;
 
+pub(crate) use directories::{Directories, Directory};
+use directories::{MOST_DIRECTORIES, size_of_kind};
 pub(crate) use samples::samples;
-use std::io::{Cursor, Read, Seek, SeekFrom};
+use std::io::{Cursor, Read, Seek};
 
 /// Why a file was rejected.
 type Reason = String;
@@ -30,121 +33,10 @@ const BLACK_IS_ZERO: u8 = 1;
 /// Values of the tag Compression for JPEG. The bits of JPEG data are never reversed (libtiff's TIFF_NOBITREV).
 const JPEGS: [u64; 2] = [6, 7];
 
-/// Largest number of directories (IFDs) that are read. Each describes one picture of the file, and only one picture is
-/// used.
-const MOST_DIRECTORIES: usize = 64;
-
 /// Length of a text tag, in bytes, above which the `tiff` crate rejects the text and prints a message.
 const LONGEST_TEXT: u64 = 256 << 20;
 
-/// An entry of a directory.
-#[derive(Debug, Clone, Copy)]
-struct Entry {
-    tag: u16,
-    kind: u16,
-    count: u64,
-    /// Offset of the value in the file.
-    value: u64,
-}
-
-/// A directory (IFD): its offset in the file, its entries, and the offset of the next directory.
-#[derive(Debug)]
-struct Directory {
-    at: u64,
-    entries: Vec<Entry>,
-    next: u64,
-}
-
-impl Directory {
-    fn entry(&self, tag: u16) -> Option<Entry> {
-        self.entries.iter().copied().find(|entry| entry.tag == tag)
-    }
-}
-
-/// The directories of a file, read by seeking.
-struct Directories<R> {
-    reader: R,
-    length: u64,
-    is_little: bool,
-    is_big: bool,
-}
-
 impl<R: Read + Seek> Directories<R> {
-    fn of(mut reader: R) -> Option<Self> {
-        let length = reader.seek(SeekFrom::End(0)).ok()?;
-        let mut found = Directories { reader, length, is_little: true, is_big: false };
-        found.is_little = found.bytes(0, 2)? == b"II";
-        found.is_big = found.number(2, 2)? == 43;
-        Some(found)
-    }
-
-    fn bytes(&mut self, at: u64, count: usize) -> Option<Vec<u8>> {
-        at.checked_add(count as u64).filter(|&end| end <= self.length)?;
-        let mut bytes = vec![0; count];
-        self.reader.seek(SeekFrom::Start(at)).ok()?;
-        self.reader.read_exact(&mut bytes).ok()?;
-        Some(bytes)
-    }
-
-    fn number(&mut self, at: u64, length: usize) -> Option<u64> {
-        let bytes = self.bytes(at, length)?;
-        Some(number(&bytes, self.is_little))
-    }
-
-    /// Returns the position in the file header at which the offset of the first directory is stored, and the number
-    /// of bytes of this offset.
-    fn offset(&self) -> (u64, usize) {
-        if self.is_big { (8, 8) } else { (4, 4) }
-    }
-
-    fn directory(&mut self, at: u64) -> Option<Directory> {
-        let (_, word) = self.offset();
-        let (count_length, entry_length) = if self.is_big { (8, 20) } else { (2, 12) };
-        let count = usize::try_from(self.number(at, count_length)?).ok().filter(|&count| count <= 1 << 16)?;
-        let start = at + count_length as u64;
-        let all = self.bytes(start, count * entry_length + word)?;
-        let (entries, next) = all.split_at(count * entry_length);
-        let entries = entries.chunks_exact(entry_length).enumerate().map(|(i, entry)| {
-            let (kind, count) = (number(&entry[2..4], self.is_little) as u16, &entry[4..entry_length - word]);
-            let count = number(count, self.is_little);
-            let held = &entry[entry_length - word..];
-            let is_inside = count.saturating_mul(size_of_kind(kind)) <= word as u64;
-            let place = start + ((i + 1) * entry_length - word) as u64;
-            let value = if is_inside { place } else { number(held, self.is_little) };
-            Entry { tag: number(&entry[..2], self.is_little) as u16, kind, count, value }
-        });
-        Some(Directory { at, entries: entries.collect(), next: number(next, self.is_little) })
-    }
-
-    /// Returns the directories of the file's pictures in order, up to the first damaged directory.
-    fn pictures(&mut self) -> Vec<Directory> {
-        let (at, word) = self.offset();
-        let mut found: Vec<Directory> = Vec::new();
-        let mut next = self.number(at, word).unwrap_or(0);
-        while next != 0 && found.len() < MOST_DIRECTORIES && found.iter().all(|seen| seen.at != next) {
-            let Some(directory) = self.directory(next) else { break };
-            next = directory.next;
-            found.push(directory);
-        }
-        found
-    }
-
-    /// Returns the values of the entry `tag`, if the entry exists and its type is an integer.
-    fn numbers(&mut self, directory: &Directory, tag: u16) -> Option<Vec<u64>> {
-        let entry = directory.entry(tag)?;
-        let size = match entry.kind {
-            1 | 3 | 4 | 13 | 16 | 18 => size_of_kind(entry.kind),
-            _ => return None,
-        };
-        let length = usize::try_from(entry.count.checked_mul(size)?).ok()?;
-        let bytes = self.bytes(entry.value, length)?;
-        Some(bytes.chunks_exact(size as usize).map(|bytes| number(bytes, self.is_little)).collect())
-    }
-
-    fn first_number(&mut self, directory: &Directory, tag: u16) -> Option<u64> {
-        self.numbers(directory, tag)?.first().copied()
-    }
-
     fn is_thumbnail(&mut self, directory: &Directory) -> bool {
         self.first_number(directory, SUBFILE).is_some_and(|kind| kind & 1 != 0)
     }
@@ -152,22 +44,6 @@ impl<R: Read + Seek> Directories<R> {
     /// Whether a directory contains the mosaic of a sensor, or linear pixels made from a mosaic.
     fn is_mosaic(&mut self, directory: &Directory) -> bool {
         matches!(self.first_number(directory, PHOTOMETRIC), Some(32803 | 34892))
-    }
-}
-
-fn number(bytes: &[u8], is_little: bool) -> u64 {
-    let add = |sum: u64, b: &u8| sum << 8 | u64::from(*b);
-    if is_little { bytes.iter().rev().fold(0, add) } else { bytes.iter().fold(0, add) }
-}
-
-/// Returns the size in bytes of a value of the type `kind` (TIFF 6.0, section 2; BigTIFF). For unknown types it
-/// returns the largest size, 8.
-fn size_of_kind(kind: u16) -> u64 {
-    match kind {
-        1 | 2 | 6 | 7 => 1,
-        3 | 8 => 2,
-        4 | 9 | 11 | 13 => 4,
-        _ => 8,
     }
 }
 
