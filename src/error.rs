@@ -32,7 +32,7 @@ pub enum Error {
         path: PathBuf,
     },
     /// The content is not in a supported format, whatever the extension is.
-    #[error("{}: is not a JPEG, PNG or TIFF image ({found}); convert it, or leave it out", path.display())]
+    #[error("{}: is not a JPEG, PNG, TIFF or DNG image ({found}); convert it, or leave it out", path.display())]
     UnknownFormat {
         /// The file.
         path: PathBuf,

@@ -1,8 +1,8 @@
 //! Decodes image files to pixel values with the orientation applied, and reads their metadata.
 //!
-//! In: a JPEG, PNG or TIFF, recognised by its content and not by its name. Out: interleaved RGB at the depth of the
-//! file, 8 or 16 bits; grey is repeated, alpha dropped, CMYK converted to RGB without its profile. Cost: the decoders,
-//! one copy for 16-bit samples, and another copy where the orientation is not 1.
+//! In: a JPEG, PNG, TIFF or DNG, recognised by its content and not by its name. Out: interleaved RGB at the depth of
+//! the file, 8 or 16 bits; grey is repeated, alpha dropped, CMYK converted to RGB without its profile; a DNG is
+//! developed. Cost: the decoders, one copy for 16-bit samples, and another copy where the orientation is not 1.
 //!
 //! Damage is an error; missing image data is never replaced by a filler.
 
@@ -38,6 +38,8 @@ pub(super) struct Decoded {
     pub icc: Option<Vec<u8>>,
     /// Whether the file has an alpha channel, which is dropped.
     pub has_alpha: bool,
+    /// Whether the file is a camera raw file.
+    pub is_raw: bool,
     /// Descriptions of the metadata that was ignored.
     pub notes: Vec<String>,
 }
@@ -56,6 +58,8 @@ struct Stored {
     icc: Option<Vec<u8>>,
     /// Whether the file has an alpha channel, which is dropped.
     has_alpha: bool,
+    /// Whether the file is a camera raw file.
+    is_raw: bool,
     /// Descriptions of the metadata that was ignored.
     notes: Vec<String>,
 }
@@ -109,6 +113,7 @@ pub(super) fn decode(path: &Path, bytes: Vec<u8>, limits: &Limits) -> Result<Dec
         exif,
         icc: stored.icc,
         has_alpha: stored.has_alpha,
+        is_raw: stored.is_raw,
         notes,
     })
 }

@@ -14,6 +14,7 @@ pub mod header;
 mod load;
 mod metadata;
 mod photograph;
+mod raw;
 mod reference;
 mod window;
 
@@ -119,6 +120,9 @@ pub struct Frame {
     pub exposure: Exposure,
     /// Colour profile of the frame; sRGB is assumed where there is none.
     pub profile: Option<Profile>,
+    /// Whether the frame was read from a camera raw file. Its response is known (sRGB), and its profile has the colours
+    /// of the camera.
+    pub is_raw: bool,
     /// Other capture data.
     pub capture: Capture,
     /// Why the frame is excluded from the merge unless the user includes it, for example because the flash fired.
@@ -151,6 +155,7 @@ impl Frame {
             well_exposed,
             exposure,
             profile: None,
+            is_raw: false,
             capture: Capture::default(),
             excluded: None,
         }

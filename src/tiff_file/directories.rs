@@ -113,6 +113,31 @@ impl<R: Read + Seek> Directories<R> {
         Some(bytes.chunks_exact(size as usize).map(|bytes| number(bytes, self.is_little)).collect())
     }
 
+    /// Returns the values of the entry `tag` as real numbers, whatever their type: integers, fractions or floats.
+    pub(crate) fn reals(&mut self, directory: &Directory, tag: u16) -> Option<Vec<f64>> {
+        let entry = directory.entry(tag)?;
+        let size = size_of_kind(entry.kind);
+        let length = usize::try_from(entry.count.checked_mul(size)?).ok()?;
+        let bytes = self.bytes(entry.value, length)?;
+        let is_little = self.is_little;
+        let real = |bytes: &[u8]| {
+            let all = number(bytes, is_little);
+            let half = |i: usize| number(&bytes[4 * i..4 * i + 4], is_little) as u32;
+            Some(match entry.kind {
+                1 | 3 | 4 | 13 | 16 | 18 => all as f64,
+                5 => f64::from(half(0)) / f64::from(half(1)),
+                6 => f64::from(all as u8 as i8),
+                8 => f64::from(all as u16 as i16),
+                9 => f64::from(all as u32 as i32),
+                10 => f64::from(half(0) as i32) / f64::from(half(1) as i32),
+                11 => f64::from(f32::from_bits(all as u32)),
+                12 => f64::from_bits(all),
+                _ => return None,
+            })
+        };
+        bytes.chunks_exact(size as usize).map(real).collect()
+    }
+
     pub(crate) fn first_number(&mut self, directory: &Directory, tag: u16) -> Option<u64> {
         self.numbers(directory, tag)?.first().copied()
     }

@@ -6,6 +6,7 @@
 
 use super::{Found, Reason, Stored, cmyk_to_rgb, to_rgb};
 use crate::bracket::Samples;
+use crate::bracket::raw::{self, Developed};
 use crate::limits::{self, Limits as Allowed};
 use crate::tiff_file::{self, Picture, refusal};
 use exif::experimental::Writer;
@@ -27,6 +28,9 @@ const FLOATING_POINT: &str = "it contains floating-point values, which are linea
 /// Decodes the first image of a TIFF file that is not a thumbnail.
 pub(super) fn decode(mut bytes: Vec<u8>, allowed: &Allowed) -> Result<Stored, Reason> {
     let picture = tiff_file::picture(Cursor::new(&bytes))?;
+    if raw::is_dng(Cursor::new(&bytes)) {
+        return developed(bytes, allowed);
+    }
     refuse_raw(picture)?;
     let header = bytes[..HEADER].to_vec();
     tiff_file::put_first(&mut bytes, picture);
@@ -75,16 +79,34 @@ pub(super) fn decode(mut bytes: Vec<u8>, allowed: &Allowed) -> Result<Stored, Re
         directory: picture.index as u16,
         icc,
         has_alpha: kind.has_alpha,
+        is_raw: false,
         notes: Vec::new(),
     })
 }
 
-/// Rejects camera raw files: TIFF files that contain a sensor mosaic or only thumbnails, and DNG files.
+/// Rejects camera raw files other than DNG: TIFF files that contain a sensor mosaic or only thumbnails.
 fn refuse_raw(picture: Picture) -> Result<(), Reason> {
     if picture.is_raw {
-        return Err("it looks like a camera raw file (DNG, NEF, ARW, ...); develop it first, with the same settings for all frames".into());
+        return Err("it looks like a camera raw file (NEF, ARW, ...); convert it to DNG, for example with Adobe's DNG Converter".into());
     }
     Ok(())
+}
+
+/// Develops a DNG file.
+fn developed(bytes: Vec<u8>, allowed: &Allowed) -> Result<Stored, Reason> {
+    let Developed { width, height, samples, needed, profile } = raw::develop(&bytes, allowed)?;
+    Ok(Stored {
+        width,
+        height,
+        samples: Samples::Sixteen(samples),
+        decoding: needed,
+        exif: Some(bytes),
+        directory: 0,
+        icc: profile.map(|profile| profile.icc),
+        has_alpha: false,
+        is_raw: true,
+        notes: Vec::new(),
+    })
 }
 
 /// Colour and depth of the samples.
@@ -197,20 +219,27 @@ impl Bounded for u16 {
 /// why `decode` would reject this kind of image.
 pub(super) fn head<R: Read + Seek>(mut reader: R, wanted: &[exif::Tag]) -> Result<Found, Reason> {
     let picture = tiff_file::picture(&mut reader)?;
-    let mut refused = refuse_raw(picture).err();
+    let is_dng = raw::is_dng(&mut reader);
+    let developed = is_dng.then(|| raw::size(&mut reader)).transpose()?;
+    let mut refused = if is_dng { None } else { refuse_raw(picture).err() };
     reader.rewind().map_err(|e| e.to_string())?;
     let mut decoder = Decoder::new(reader).map_err(refusal)?;
-    let first = decoder.ifd_pointer().filter(|_| picture.index > 0);
-    decoder.seek_to_image(picture.index).map_err(refusal)?;
+    // What holds for a whole DNG file is in its first directory.
+    let index = if is_dng { 0 } else { picture.index };
+    let first = decoder.ifd_pointer().filter(|_| index > 0);
+    decoder.seek_to_image(index).map_err(refusal)?;
     let (width, height) = decoder.dimensions().map_err(refusal)?;
     let depths = decoder.find_tag_unsigned_vec::<u16>(Tag::BitsPerSample).ok().flatten().unwrap_or_default();
     let photometric = decoder.find_tag_unsigned::<u16>(Tag::PhotometricInterpretation).ok().flatten();
-    refused = refused.or(Kind::of(&mut decoder, photometric).err());
-    let depth = depths.first().map_or(8, |&bits| bits.clamp(8, 64) as u8);
+    if !is_dng {
+        refused = refused.or(Kind::of(&mut decoder, photometric).err());
+    }
+    let depth = if is_dng { 16 } else { depths.first().map_or(8, |&bits| bits.clamp(8, 64) as u8) };
+    let (width, height) = developed.unwrap_or((width as usize, height as usize));
     // This tag is also read from a BigTIFF, whose EXIF is not read.
     let software = decoder.get_tag_ascii_string(Tag::Software).ok();
     let exif = if is_big(&mut decoder) { None } else { fields(&mut decoder, first, wanted) };
-    Ok(Found { width: width as usize, height: height as usize, depth, exif, software, refused })
+    Ok(Found { width, height, depth, exif, software, refused })
 }
 
 /// Whether the file is a BigTIFF. `decode` does not read the EXIF of a BigTIFF either, because kamadak-exif cannot.

@@ -34,6 +34,8 @@ pub(super) struct Picture {
     pub well_exposed: u64,
     pub tags: ExposureTags,
     pub profile: Option<Profile>,
+    /// Whether the file is a camera raw file.
+    pub is_raw: bool,
     pub capture: Capture,
     /// Why the file is excluded from the merge, if it is.
     pub excluded: Option<String>,
@@ -46,7 +48,7 @@ impl Picture {
         let limits = options.limits();
         let bytes = content(path, &limits)?;
         refuse_result(path, &bytes, &limits)?;
-        let Decoded { width, height, samples, decoding, exif, icc, mut notes, .. } =
+        let Decoded { width, height, samples, decoding, exif, icc, is_raw, mut notes, .. } =
             decode::decode(path, bytes, &limits)?;
         let tags = exif.as_ref().map(ExposureTags::read).unwrap_or_default();
         let capture = exif.as_ref().map(|exif| capture::read(exif, options.keep_gps)).unwrap_or_default();
@@ -68,6 +70,7 @@ impl Picture {
             well_exposed,
             tags,
             profile,
+            is_raw,
             capture,
             excluded: None,
             warnings,

@@ -151,7 +151,7 @@ fn allowed(given: Option<u64>) -> Option<u64> {
 /// The photographs, and how they are aligned.
 #[derive(Debug, Args)]
 pub struct Aligned {
-    /// The photographs of one bracket: JPEG, PNG or TIFF, in any order
+    /// The photographs of one bracket: JPEG, PNG, TIFF or DNG, in any order
     #[arg(required = true, value_name = "IMAGES")]
     pub images: Vec<PathBuf>,
 

@@ -5,6 +5,7 @@
 
 use crate::bracket::Bracket;
 use crate::bracket::colour::Primaries;
+use crate::bracket::colour::Space;
 use crate::error::{Result, Warning};
 use crate::merge::deghost::{self, Ghosts};
 use crate::merge::local::LocalGain;
@@ -82,9 +83,11 @@ pub(crate) fn merged(
     let normalised = |unit| normalisation::factor(unit, merged.reference_exposure);
     let factor = calibrated.or(options.unit_exposure.map(normalised));
     let mut outside = 0;
-    if options.colour.is_some() || factor.is_some() {
+    // The primaries of a sensor are not those of a space in which pictures are kept.
+    let colour = options.colour.or(bracket.reference().is_raw.then_some(Space::Srgb));
+    if colour.is_some() || factor.is_some() {
         rows = rows.changed(|_, map| {
-            let (mut map, drawn) = match options.colour {
+            let (mut map, drawn) = match colour {
                 Some(space) => gamut::converted(map, space),
                 None => (map, 0),
             };

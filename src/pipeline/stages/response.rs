@@ -14,7 +14,7 @@ use crate::response::file::SavedResponse;
 use crate::response::local::{Evidence, evidence};
 use crate::response::ratios::{self, Exposures};
 use crate::response::samples::Places;
-use crate::response::{self, ResponseCurve, ResponseReport};
+use crate::response::{self, ResponseCurve, ResponseModel, ResponseReport};
 use std::path::Path;
 
 /// The response, and data about it.
@@ -45,8 +45,9 @@ pub(crate) fn find(
     options: &Options,
 ) -> Result<(Aligned, Camera, Vec<Warning>)> {
     let Aligned { bracket, alignment, region } = aligned;
+    let model = model(&bracket, options);
     let is_tuned = options.exposures == Exposures::FineTuned;
-    let is_recovered = saved.is_none() && options.response.is_recovered();
+    let is_recovered = saved.is_none() && model.is_recovered();
     let is_needed = is_tuned || is_recovered || saved.is_some() || options.save_response.is_some();
     let mut places = if is_needed { Places::of(&bracket, &alignment)? } else { Places::default() };
     let (bracket, mut warnings) =
@@ -71,7 +72,7 @@ pub(crate) fn find(
             (saved.curve, ResponseReport { model: "file", ..ResponseReport::default() })
         }
         None => {
-            let (curve, report, more) = response::recover_from(&[&places], &options.response)?;
+            let (curve, report, more) = response::recover_from(&[&places], &model)?;
             warnings.extend(more);
             (curve, report)
         }
@@ -79,6 +80,11 @@ pub(crate) fn find(
     // A response from a file is accepted: the frames are merged with it, even if they are locally processed.
     let evidence = evidence.filter(|_| report.model != "file");
     Ok((Aligned { bracket, alignment, region }, Camera { curve, report, evidence }, warnings))
+}
+
+/// The model of the response: that of the options, or sRGB for raw files, which are encoded with it.
+fn model(bracket: &Bracket, options: &Options) -> ResponseModel {
+    if bracket.reference().is_raw { ResponseModel::Srgb } else { options.response.clone() }
 }
 
 /// Returns a warning if the response `saved` in the file `path` is of another camera than `capture`; `None` if one of
@@ -130,7 +136,7 @@ fn remedy(is_local: bool) -> &'static str {
 /// Returns the evidence of local processing from `places` of `bracket`. `None` if the user chose a linear or sRGB
 /// curve, and if frames are not aligned, because then differences between places may be due to the camera's motion.
 pub(crate) fn processing(bracket: &Bracket, places: &Places, options: &Options) -> Option<Evidence> {
-    let may_be_local = options.response.is_recovered() && options.align.mode != AlignMode::None;
+    let may_be_local = model(bracket, options).is_recovered() && options.align.mode != AlignMode::None;
     let longer_side = bracket.width().max(bracket.height());
     if may_be_local { evidence(places, longer_side) } else { None }
 }

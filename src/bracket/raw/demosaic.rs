@@ -1,0 +1,236 @@
+//! Demosaicing: three colours for each pixel of a Bayer mosaic.
+//!
+//! In: linear values of a mosaic. Out: linear RGB, white balanced, 1 where it is clipped. Cost: about two
+//! hundred operations for each pixel. Source: Pekkucuksen & Altunbasak, "Gradient Based Threshold Free Color Filter
+//! Array Interpolation", ICIP 2010.
+//!
+//! The difference between green and the other colour of a row (or column) is estimated along rows and along columns.
+//! At each red or blue pixel, it is averaged in four directions; a direction counts the less, the more the difference
+//! changes there. So green is interpolated along edges and not across them. Red and blue follow from their differences
+//! to green.
+//!
+//! The differences are those of square roots, because the noise of these is the same in dark and in bright parts, and
+//! errors beside edges are about as visible in both. Measured on rendered brackets: the error of radiance is 0.11
+//! stops, and 0.18 with linear values.
+
+use super::colour::Balance;
+use super::pattern::Pattern;
+use crate::plane::{BAND_ROWS, Plane};
+use rayon::prelude::*;
+
+/// Width of the border of a band: the filters below reach 3 (red and blue), 4 (directions) and 2 + 1 pixels far.
+const BORDER: usize = 12;
+/// Length of the averages of differences, including the pixel itself.
+const LENGTH: usize = 5;
+/// Added to the sums of changes, so that they can be inverted.
+const LEAST_CHANGE: f32 = 1e-4;
+
+/// Interpolates the colours that the mosaic `linear` lacks.
+pub(super) fn demosaic(linear: &Plane<f32>, pattern: &Pattern, balance: Balance) -> Plane<[f32; 3]> {
+    let (width, height) = (linear.width(), linear.height());
+    let mut pixels = vec![[0.0f32; 3]; width * height];
+    pixels.par_chunks_mut(BAND_ROWS * width).enumerate().for_each(|(band, rows)| {
+        Band::new(linear, pattern, balance, band * BAND_ROWS, rows.len() / width).interpolate(rows);
+    });
+    Plane::from_vec(width, height, pixels)
+}
+
+/// Some rows of a mosaic, with a border on all sides.
+struct Band<'a> {
+    pattern: &'a Pattern,
+    /// Row of the picture at the first row of the band.
+    first: usize,
+    rows: usize,
+    /// Size with the border.
+    width: usize,
+    height: usize,
+    /// Square roots of the values of the mosaic, 0 to 1.
+    mosaic: Vec<f32>,
+}
+
+/// The index, within 0..`length`, at the same distance from the end on the other side of it. Mirrored pixels have the
+/// same colour.
+fn mirrored(i: isize, length: usize) -> usize {
+    let last = length as isize - 1;
+    if last == 0 {
+        return 0;
+    }
+    let i = i.rem_euclid(2 * last);
+    i.min(2 * last - i) as usize
+}
+
+impl<'a> Band<'a> {
+    fn new(linear: &Plane<f32>, pattern: &'a Pattern, balance: Balance, first: usize, rows: usize) -> Self {
+        let (width, height) = (linear.width() + 2 * BORDER, rows + 2 * BORDER);
+        let mut mosaic = Vec::with_capacity(width * height);
+        for y in 0..height {
+            let v = mirrored((first + y) as isize - BORDER as isize, linear.height());
+            let row = linear.row(v);
+            mosaic.extend((0..width).map(|x| {
+                let u = mirrored(x as isize - BORDER as isize, linear.width());
+                balance.of(row[u], pattern.at(u, v)).sqrt()
+            }));
+        }
+        Band { pattern, first, rows, width, height, mosaic }
+    }
+
+    /// The colour of the pixel (x, y) of the band.
+    fn colour(&self, x: usize, y: usize) -> usize {
+        // The border has an even width, so the colours in it are those of the pattern.
+        self.pattern.at(x + BORDER, self.first + y + BORDER)
+    }
+
+    /// The difference between green and the other colour, along a direction in which neighbours are `step` apart.
+    fn differences(&self, step: usize) -> Vec<f32> {
+        let (m, mut all) = (&self.mosaic, vec![0.0; self.mosaic.len()]);
+        for y in 2..self.height - 2 {
+            for x in 2..self.width - 2 {
+                let i = y * self.width + x;
+                let between = 0.5 * (m[i - step] + m[i + step]);
+                let bend = 0.25 * (2.0 * m[i] - m[i - 2 * step] - m[i + 2 * step]);
+                let other = between + bend;
+                all[i] = if self.colour(x, y) == 1 { m[i] - other } else { other - m[i] };
+            }
+        }
+        all
+    }
+
+    /// How much `differences` change along a direction: sums over squares of five pixels.
+    fn changes(&self, differences: &[f32], step: usize) -> Vec<f32> {
+        let (width, height) = (self.width, self.height);
+        let mut change = vec![0.0; differences.len()];
+        for i in (3 * width + 3)..(differences.len() - 3 * width - 3) {
+            change[i] = (differences[i - step] - differences[i + step]).abs();
+        }
+        let mut along = vec![0.0; change.len()];
+        for i in 2..change.len() - 2 {
+            along[i] = change[i - 2] + change[i - 1] + change[i] + change[i + 1] + change[i + 2];
+        }
+        for y in 2..height - 2 {
+            for i in y * width..(y + 1) * width {
+                change[i] =
+                    along[i - 2 * width] + along[i - width] + along[i] + along[i + width] + along[i + 2 * width];
+            }
+        }
+        change
+    }
+
+    /// Writes the colours of the rows of the band.
+    fn interpolate(&self, rows: &mut [[f32; 3]]) {
+        let width = self.width;
+        let steps = [1, width];
+        let differences = steps.map(|step| self.differences(step));
+        let changes = [0, 1].map(|d| self.changes(&differences[d], steps[d]));
+        // Green minus the pixel's own colour, at red and blue pixels.
+        let mut difference = vec![0.0f32; self.mosaic.len()];
+        for y in 5..self.height - 5 {
+            for x in (5..width - 5).filter(|&x| self.colour(x, y) != 1) {
+                let i = y * width + x;
+                let (mut sum, mut weights) = (0.0, 0.0);
+                for ((differences, changes), step) in differences.iter().zip(&changes).zip(steps) {
+                    for is_before in [true, false] {
+                        let first = if is_before { i - (LENGTH - 1) * step } else { i };
+                        let mean = (0..LENGTH).map(|k| differences[first + k * step]).sum::<f32>() / LENGTH as f32;
+                        let centre = if is_before { i - 2 * step } else { i + 2 * step };
+                        let change = changes[centre] + LEAST_CHANGE;
+                        let weight = 1.0 / (change * change);
+                        (sum, weights) = (sum + weight * mean, weights + weight);
+                    }
+                }
+                difference[i] = sum / weights;
+            }
+        }
+        let m = &self.mosaic;
+        let out_width = width - 2 * BORDER;
+        let mut greens = vec![0.0f32; self.mosaic.len()];
+        for y in 5..self.height - 5 {
+            for x in 5..width - 5 {
+                let i = y * width + x;
+                greens[i] = m[i] + difference[i];
+            }
+        }
+        for (y, row) in rows.chunks_exact_mut(out_width).enumerate().take(self.rows) {
+            for (x, rgb) in row.iter_mut().enumerate() {
+                let (x, y) = (x + BORDER, y + BORDER);
+                let (i, own) = (y * width + x, self.colour(x, y));
+                let green = greens[i];
+                let d = |dx: isize, dy: isize| difference[i.wrapping_add_signed(dy * width as isize + dx)];
+                *rgb = [green; 3];
+                if own == 1 {
+                    let across = self.colour(x + 1, y);
+                    rgb[across] = green - 0.5 * (d(-1, 0) + d(1, 0));
+                    rgb[2 - across] = green - 0.5 * (d(0, -1) + d(0, 1));
+                } else {
+                    // The filter of the paper, equation 10.
+                    let near = d(-1, -1) + d(1, -1) + d(-1, 1) + d(1, 1);
+                    let far = d(-3, -1) + d(3, -1) + d(-3, 1) + d(3, 1) + d(-1, -3) + d(1, -3) + d(-1, 3) + d(1, 3);
+                    rgb[own] = m[i];
+                    rgb[2 - own] = green - (10.0 * near - far) / 32.0;
+                }
+                *rgb = rgb.map(|v| v.clamp(0.0, 1.0)).map(|v| v * v);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The mosaic of a scene, whose colours at (x, y) are `scene`.
+    fn mosaic(pattern: &Pattern, size: (usize, usize), scene: impl Fn(usize, usize) -> [f32; 3] + Sync) -> Plane<f32> {
+        Plane::from_rows(size.0, size.1, |y, row| {
+            row.iter_mut().enumerate().for_each(|(x, v)| *v = scene(x, y)[pattern.at(x, y)]);
+        })
+    }
+
+    fn patterns() -> impl Iterator<Item = Pattern> {
+        [[0, 1, 1, 2], [2, 1, 1, 0], [1, 0, 2, 1], [1, 2, 0, 1]].into_iter().map(|p| Pattern::new((2, 2), &p).unwrap())
+    }
+
+    #[test]
+    fn smooth_planes_are_exact_in_all_phases_and_sizes() {
+        let scene = |x: usize, y: usize| {
+            let v = 0.2 + 0.003 * x as f32 + 0.002 * y as f32;
+            [v + 0.1, v, v - 0.1].map(|root: f32| root * root)
+        };
+        for (pattern, size) in patterns().flat_map(|p| [(31, 70), (40, 2), (64, 65)].map(move |size| (p.clone(), size)))
+        {
+            let found = demosaic(&mosaic(&pattern, size, scene), &pattern, Balance::new([1.0; 3], [1.0; 3]));
+            // The square roots are planes. At the border, they are mirrored, which bends them: 6 pixels from it, they
+            // are exact but for the rounding of sums of some dozen floats.
+            for (x, y) in (6..size.1.saturating_sub(6)).flat_map(|y| (6..size.0 - 6).map(move |x| (x, y))) {
+                let (found, true_value) = (found.at(x, y), scene(x, y));
+                assert!((0..3).all(|c| (found[c] - true_value[c]).abs() < 1e-5), "{pattern:?} ({x}, {y}): {found:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn edges_have_no_false_colours() {
+        // A grey vertical edge: interpolation across it would give colours.
+        let scene = |x: usize, _: usize| if x < 20 { [0.1; 3] } else { [0.9; 3] };
+        for pattern in patterns() {
+            let found = demosaic(&mosaic(&pattern, (40, 40), scene), &pattern, Balance::new([1.0; 3], [1.0; 3]));
+            for (x, y) in (6..34).flat_map(|y| (6..34).map(move |x| (x, y))) {
+                let [r, g, b] = found.at(x, y);
+                assert!((r - g).abs().max((b - g).abs()) < 0.02, "{pattern:?} ({x}, {y}): {r} {g} {b}");
+            }
+        }
+    }
+
+    #[test]
+    fn white_is_neutral_where_the_first_colour_clips() {
+        let (neutral, clip) = ([0.5, 1.0, 0.7f32], [0.98, 0.95, 1.0f32]);
+        let balance = Balance::new(neutral, clip);
+        let pattern = Pattern::new((2, 2), &[0, 1, 1, 2]).unwrap();
+        // Twice as bright as green can be.
+        let bright = mosaic(&pattern, (30, 30), |_, _| [0, 1, 2].map(|c| (2.0 * neutral[c]).min(clip[c])));
+        let found = demosaic(&bright, &pattern, balance);
+        assert!(found.as_slice().iter().flatten().all(|&v| (v - 1.0).abs() < 1e-5), "{:?}", found.at(9, 9));
+        // Half as bright as green can be.
+        let half = mosaic(&pattern, (30, 30), |_, _| neutral.map(|n| 0.5 * 0.95 * n));
+        let found = demosaic(&half, &pattern, balance);
+        assert!(found.as_slice().iter().flatten().all(|&v| (v - 0.475).abs() < 1e-5), "{:?}", found.at(9, 9));
+    }
+}

@@ -1,0 +1,132 @@
+//! Camera raw: what the sensor measured, before any processing.
+//!
+//! In: a DNG file. Out: RGB in the colours of the camera, white balanced, 16 bits per sample, encoded with the sRGB
+//! curve, and the [`Profile`] of these colours. Cost: see
+//! `demosaic`. Source: Adobe, "Digital Negative Specification", version 1.6.0.0 (2021), in this module called DNG.
+//!
+//! Samples are encoded with the sRGB curve, as those of other photographs are, because alignment compares grey values
+//! of 8 bits: in linear ones, dark parts have no detail.
+//!
+//! 1. `dng`: the [`Sensor`]: sample values as stored (`chunks`), and what the file says about them (`tags`).
+//! 2. `levels`: linear values, 0 for black and 1 for white.
+//! 3. `demosaic`: three colours for each pixel.
+//! 4. `colour`: white balance, and the meaning of the colours.
+
+mod chunks;
+mod colour;
+mod demosaic;
+mod dng;
+mod levels;
+mod lossless_jpeg;
+mod pattern;
+mod tags;
+
+use crate::bracket::colour::{Curve, Profile, linear_to_srgb};
+use crate::limits::Limits;
+use crate::plane::Plane;
+use colour::{Balance, CameraColour};
+pub(super) use dng::{is_dng, size};
+use levels::Levels;
+use pattern::Pattern;
+
+/// Why a file was rejected.
+type Reason = String;
+
+/// A rectangle of pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Area {
+    left: usize,
+    top: usize,
+    width: usize,
+    height: usize,
+}
+
+/// Sample values as stored in the file.
+#[derive(Debug, Clone, PartialEq)]
+enum Values {
+    Integers(Plane<u16>),
+    Floats(Plane<f32>),
+}
+
+/// What the samples of a file are.
+#[derive(Debug, Clone, PartialEq)]
+enum Arrangement {
+    /// One sample for each pixel, behind a colour filter.
+    Mosaic(Pattern),
+    /// Three samples for each pixel.
+    Rgb,
+}
+
+/// The samples of a raw file, and what the file says about them.
+#[derive(Debug, Clone, PartialEq)]
+struct Sensor {
+    values: Values,
+    arrangement: Arrangement,
+    /// The part of the picture with an image; the rest is masked.
+    active: Area,
+    /// The part of the active area that developers show.
+    crop: Area,
+    levels: Levels,
+    colour: CameraColour,
+}
+
+/// A developed raw file.
+pub(super) struct Developed {
+    /// Width in pixels.
+    pub width: usize,
+    /// Height in pixels.
+    pub height: usize,
+    /// Interleaved RGB, encoded with the sRGB curve: 0 is black, 65535 is white, and where the first channel clips.
+    pub samples: Vec<u16>,
+    /// Memory in bytes needed to develop the file, including the bytes of the file.
+    pub needed: u64,
+    /// The colours of the camera, with the white of the photograph.
+    pub profile: Option<Profile>,
+}
+
+/// Reads the DNG file `bytes`.
+///
+/// # Errors
+/// The reason, if the file is damaged or of a kind that is not supported.
+pub(super) fn develop(bytes: &[u8], limits: &Limits) -> Result<Developed, Reason> {
+    let (sensor, needed) = dng::read(bytes, limits)?;
+    let linear = levels::linear(&sensor)?;
+    let balance = Balance::new(sensor.colour.neutral, levels::clip(&linear, &sensor));
+    let rgb = match &sensor.arrangement {
+        Arrangement::Mosaic(pattern) => demosaic::demosaic(&linear, pattern, balance),
+        Arrangement::Rgb => balance.pixels(&linear),
+    };
+    let Area { left, top, width, height } = sensor.crop;
+    let rows = (top..top + height).flat_map(|y| &rgb.row(y)[left..left + width]);
+    let encoded = Encoded::new();
+    let samples = rows.flatten().map(|&v| encoded.of(v)).collect();
+    let profile = Profile::of(&sensor.colour.primaries, Curve::Srgb, "camera");
+    Ok(Developed { width, height, samples, needed, profile })
+}
+
+/// The sRGB curve in steps that are fine enough for 16 bits.
+struct Encoded(Vec<f32>);
+
+impl Encoded {
+    /// Number of steps. The square root of the linear value is looked up, in which the curve is nearly straight.
+    const STEPS: usize = 4096;
+
+    fn new() -> Self {
+        let of = |i: usize| {
+            let root = i as f64 / Self::STEPS as f64;
+            65535.0 * linear_to_srgb(root * root) as f32
+        };
+        Encoded((0..=Self::STEPS).map(of).chain([65535.0]).collect())
+    }
+
+    /// The encoded value of a linear value, 0..=1.
+    fn of(&self, linear: f32) -> u16 {
+        let at = linear.sqrt() * Self::STEPS as f32;
+        let whole = (at as usize).min(Self::STEPS);
+        let (from, to) = (self.0[whole], self.0[whole + 1]);
+        (from + (at - whole as f32) * (to - from) + 0.5) as u16
+    }
+}
+
+#[cfg(test)]
+mod tests;
