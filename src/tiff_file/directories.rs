@@ -11,12 +11,12 @@ pub(super) const MOST_DIRECTORIES: usize = 64;
 
 /// An entry of a directory.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Entry {
-    pub(crate) tag: u16,
-    pub(crate) kind: u16,
-    pub(crate) count: u64,
+pub(super) struct Entry {
+    pub(super) tag: u16,
+    pub(super) kind: u16,
+    pub(super) count: u64,
     /// Offset of the value in the file.
-    pub(crate) value: u64,
+    pub(super) value: u64,
 }
 
 /// A directory (IFD): its offset in the file, its entries, and the offset of the next directory.
@@ -28,7 +28,7 @@ pub(crate) struct Directory {
 }
 
 impl Directory {
-    pub(crate) fn entry(&self, tag: u16) -> Option<Entry> {
+    pub(super) fn entry(&self, tag: u16) -> Option<Entry> {
         self.entries.iter().copied().find(|entry| entry.tag == tag)
     }
 }
@@ -50,7 +50,7 @@ impl<R: Read + Seek> Directories<R> {
         Some(found)
     }
 
-    pub(crate) fn bytes(&mut self, at: u64, count: usize) -> Option<Vec<u8>> {
+    fn bytes(&mut self, at: u64, count: usize) -> Option<Vec<u8>> {
         at.checked_add(count as u64).filter(|&end| end <= self.length)?;
         let mut bytes = vec![0; count];
         self.reader.seek(SeekFrom::Start(at)).ok()?;
@@ -58,14 +58,14 @@ impl<R: Read + Seek> Directories<R> {
         Some(bytes)
     }
 
-    pub(crate) fn number(&mut self, at: u64, length: usize) -> Option<u64> {
+    pub(super) fn number(&mut self, at: u64, length: usize) -> Option<u64> {
         let bytes = self.bytes(at, length)?;
         Some(number(&bytes, self.is_little))
     }
 
     /// Returns the position in the file header at which the offset of the first directory is stored, and the number
     /// of bytes of this offset.
-    pub(crate) fn offset(&self) -> (u64, usize) {
+    pub(super) fn offset(&self) -> (u64, usize) {
         if self.is_big { (8, 8) } else { (4, 4) }
     }
 

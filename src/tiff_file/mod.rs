@@ -58,6 +58,8 @@ pub(crate) struct Picture {
     at: u64,
     /// Whether the file seems to be a camera raw file: it has a mosaic, it has only thumbnails, or it is a DNG.
     pub is_raw: bool,
+    /// Whether it is a DNG.
+    pub is_dng: bool,
 }
 
 /// Returns the first picture of the file that is not a thumbnail; the first thumbnail if there is no other picture.
@@ -81,9 +83,10 @@ pub(crate) fn picture(reader: impl Read + Seek) -> Result<Picture, Reason> {
     }
     let is_mosaic = all().any(|directory| file.is_mosaic(directory));
     let full = pictures.iter().position(|directory| !file.is_thumbnail(directory));
-    let is_raw = is_mosaic || full.is_none() || first.entry(DNG_VERSION).is_some();
+    let is_dng = first.entry(DNG_VERSION).is_some();
+    let is_raw = is_mosaic || full.is_none() || is_dng;
     let index = full.unwrap_or(0);
-    Ok(Picture { index, count: pictures.len(), at: pictures[index].at, is_raw })
+    Ok(Picture { index, count: pictures.len(), at: pictures[index].at, is_raw, is_dng })
 }
 
 /// Makes `picture` the first picture of the file `bytes`.

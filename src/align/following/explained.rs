@@ -138,3 +138,24 @@ pub(super) fn weight(round: usize) -> impl Fn(f64) -> f64 {
 fn power(base: f64, n: usize) -> f64 {
     (0..n).fold(1.0, |product, _| product * base)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A frame of 1000 observations, with these mean misfits.
+    fn frame(by_homography: f64, by_motion: f64) -> Explained {
+        let [cost_by_homography, cost_by_motion] = [by_homography, by_motion].map(|mean| 1000.0 * mean);
+        Explained { count: 1000, cost_by_homography, cost_by_motion, ..Explained::default() }
+    }
+
+    #[test]
+    fn depth_explains_more_than_one_frame() {
+        assert!(Explained::are_better(&[frame(0.9, 0.1), frame(0.6, 0.1), frame(2.0, 0.1)]), "small depth");
+        assert!(!Explained::are_better(&[frame(0.1, 0.07), frame(0.1, 0.08), frame(2.0, 0.1)]), "one smeared frame");
+        assert!(!Explained::are_better(&[frame(1.4, 1.0), frame(1.3, 1.0), frame(1.2, 0.9)]), "leaves");
+        assert!(!Explained::are_better(&[frame(0.2, 0.02), frame(0.3, 0.03)]), "homographies leave noise only");
+        assert!(Explained::are_better(&[Explained::default(), frame(2.0, 0.1)]), "one frame was observed");
+        assert!(!Explained::are_better(&[]), "no frame was observed");
+    }
+}

@@ -28,7 +28,7 @@ const FLOATING_POINT: &str = "it contains floating-point values, which are linea
 /// Decodes the first image of a TIFF file that is not a thumbnail.
 pub(super) fn decode(mut bytes: Vec<u8>, allowed: &Allowed) -> Result<Stored, Reason> {
     let picture = tiff_file::picture(Cursor::new(&bytes))?;
-    if raw::is_dng(Cursor::new(&bytes)) {
+    if picture.is_dng {
         return developed(bytes, allowed);
     }
     refuse_raw(picture)?;
@@ -219,7 +219,7 @@ impl Bounded for u16 {
 /// why `decode` would reject this kind of image.
 pub(super) fn head<R: Read + Seek>(mut reader: R, wanted: &[exif::Tag]) -> Result<Found, Reason> {
     let picture = tiff_file::picture(&mut reader)?;
-    let is_dng = raw::is_dng(&mut reader);
+    let is_dng = picture.is_dng;
     let developed = is_dng.then(|| raw::size(&mut reader)).transpose()?;
     let mut refused = if is_dng { None } else { refuse_raw(picture).err() };
     reader.rewind().map_err(|e| e.to_string())?;

@@ -73,8 +73,8 @@ impl Layout {
     fn read<R: Read + Seek>(bytes: &[u8], tags: &mut Tags<R>) -> Result<Self, Reason> {
         let (width, height) = tags.size()?;
         let samples = tags.number_or(tag::SAMPLES_PER_PIXEL, 1)? as usize;
-        let all_bits = tags.numbers(tag::BITS).unwrap_or_else(|| vec![1]);
-        let bits = all_bits[0] as usize;
+        let all_bits = tags.numbers(tag::BITS).unwrap_or_default();
+        let bits = all_bits.first().map_or(1, |&bits| bits as usize);
         let are_floats = tags.number_or(tag::SAMPLE_FORMAT, 1)? == 3;
         let are_known = if are_floats { matches!(bits, 16 | 24 | 32) } else { (8..=16).contains(&bits) };
         if !are_known || all_bits.iter().any(|&b| b as usize != bits) {

@@ -146,16 +146,16 @@ impl Balance {
         Balance { factors: neutral.map(|n| 1.0 / n), top: (0..3).map(|c| clip[c] / neutral[c]).fold(1.0, f32::min) }
     }
 
-    /// The balanced value of a linear value of colour `c`, 0..=1; 1 if it may be clipped.
+    /// The square root of the balanced value of a linear value of colour `c`, 0..=1; 1 if it may be clipped.
     #[inline(always)]
-    pub(super) fn of(&self, value: f32, c: usize) -> f32 {
+    pub(super) fn root(&self, value: f32, c: usize) -> f32 {
         let v = value * self.factors[c];
-        if v >= self.top { 1.0 } else { v.max(0.0) }
+        if v >= self.top { 1.0 } else { v.max(0.0).sqrt() }
     }
 
-    /// Balances pixels with three samples.
-    pub(super) fn pixels(&self, linear: &Plane<f32>) -> Plane<[f32; 3]> {
-        let pixel = |rgb: &[f32; 3]| [0, 1, 2].map(|c| self.of(rgb[c], c));
+    /// The [roots](Self::root) of pixels with three samples.
+    pub(super) fn roots(&self, linear: &Plane<f32>) -> Plane<[f32; 3]> {
+        let pixel = |rgb: &[f32; 3]| [0, 1, 2].map(|c| self.root(rgb[c], c));
         let pixels = linear.as_slice().as_chunks::<3>().0.iter().map(pixel).collect();
         Plane::from_vec(linear.width() / 3, linear.height(), pixels)
     }

@@ -15,11 +15,6 @@ const SAMPLE_BYTES: u64 = 8;
 /// Memory of a pixel: three linear colours, and three encoded ones.
 const PIXEL_BYTES: u64 = 18;
 
-/// Whether the TIFF file `reader` says that it is a DNG.
-pub(in crate::bracket) fn is_dng(reader: impl Read + Seek) -> bool {
-    Tags::of(reader).is_some_and(|mut tags| tags.has_main(tag::DNG_VERSION))
-}
-
 /// Reads the file `bytes`. Also returns the memory in bytes needed to develop it, including the bytes of the file.
 ///
 /// # Errors
@@ -41,11 +36,12 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Sensor, u64), Reaso
             Arrangement::Mosaic(Pattern::new((columns as usize, rows as usize), &colours)?)
         }
         (tags::LINEAR, 3) => Arrangement::Rgb,
-        _ => {
+        (tags::MOSAIC | tags::LINEAR, _) => {
             return Err(format!(
                 "its raw data has {samples} samples per pixel, which is not supported; develop it to 16-bit TIFF first"
             ));
         }
+        _ => return Err("it is a DNG without raw data; save its picture as 16-bit TIFF".into()),
     };
     let active = active(&mut tags, (width, height))?;
     let crop = crop(&mut tags, active)?;

@@ -1,16 +1,16 @@
 //! Camera raw: what the sensor measured, before any processing.
 //!
 //! In: a DNG file. Out: RGB in the colours of the camera, white balanced, 16 bits per sample, encoded with the sRGB
-//! curve, and the [`Profile`] of these colours. Cost: see
-//! `demosaic`. Source: Adobe, "Digital Negative Specification", version 1.6.0.0 (2021), in this module called DNG.
+//! curve, and the [`Profile`] of these colours. Cost: mostly that of `demosaic`. Source: Adobe, "Digital Negative
+//! Specification", version 1.6.0.0 (2021), in this module called DNG.
 //!
 //! Samples are encoded with the sRGB curve, as those of other photographs are, because alignment compares grey values
 //! of 8 bits: in linear ones, dark parts have no detail.
 //!
 //! 1. `dng`: the [`Sensor`]: sample values as stored (`chunks`), and what the file says about them (`tags`).
 //! 2. `levels`: linear values, 0 for black and 1 for white.
-//! 3. `demosaic`: three colours for each pixel.
-//! 4. `colour`: white balance, and the meaning of the colours.
+//! 3. `colour`: white balance, and the meaning of the colours. Values become square roots.
+//! 4. `demosaic`: three colours for each pixel.
 
 mod chunks;
 mod colour;
@@ -25,7 +25,7 @@ use crate::bracket::colour::{Curve, Profile, linear_to_srgb};
 use crate::limits::Limits;
 use crate::plane::Plane;
 use colour::{Balance, CameraColour};
-pub(super) use dng::{is_dng, size};
+pub(super) use dng::size;
 use levels::Levels;
 use pattern::Pattern;
 
@@ -92,14 +92,14 @@ pub(super) fn develop(bytes: &[u8], limits: &Limits) -> Result<Developed, Reason
     let (sensor, needed) = dng::read(bytes, limits)?;
     let linear = levels::linear(&sensor)?;
     let balance = Balance::new(sensor.colour.neutral, levels::clip(&linear, &sensor));
-    let rgb = match &sensor.arrangement {
+    let roots = match &sensor.arrangement {
         Arrangement::Mosaic(pattern) => demosaic::demosaic(&linear, pattern, balance),
-        Arrangement::Rgb => balance.pixels(&linear),
+        Arrangement::Rgb => balance.roots(&linear),
     };
     let Area { left, top, width, height } = sensor.crop;
-    let rows = (top..top + height).flat_map(|y| &rgb.row(y)[left..left + width]);
+    let rows = (top..top + height).flat_map(|y| &roots.row(y)[left..left + width]);
     let encoded = Encoded::new();
-    let samples = rows.flatten().map(|&v| encoded.of(v)).collect();
+    let samples = rows.flatten().map(|&root| encoded.of(root)).collect();
     let profile = Profile::of(&sensor.colour.primaries, Curve::Srgb, "camera");
     Ok(Developed { width, height, samples, needed, profile })
 }
@@ -108,7 +108,7 @@ pub(super) fn develop(bytes: &[u8], limits: &Limits) -> Result<Developed, Reason
 struct Encoded(Vec<f32>);
 
 impl Encoded {
-    /// Number of steps. The square root of the linear value is looked up, in which the curve is nearly straight.
+    /// Number of steps of the square root of the linear value, in which the curve is nearly straight.
     const STEPS: usize = 4096;
 
     fn new() -> Self {
@@ -119,9 +119,9 @@ impl Encoded {
         Encoded((0..=Self::STEPS).map(of).chain([65535.0]).collect())
     }
 
-    /// The encoded value of a linear value, 0..=1.
-    fn of(&self, linear: f32) -> u16 {
-        let at = linear.sqrt() * Self::STEPS as f32;
+    /// The encoded value of the square of `root`, 0..=1.
+    fn of(&self, root: f32) -> u16 {
+        let at = root * Self::STEPS as f32;
         let whole = (at as usize).min(Self::STEPS);
         let (from, to) = (self.0[whole], self.0[whole + 1]);
         (from + (at - whole as f32) * (to - from) + 0.5) as u16

@@ -29,7 +29,6 @@ pub(super) mod tag {
     pub(in crate::bracket::raw) const SAMPLE_FORMAT: u16 = 339;
     pub(in crate::bracket::raw) const PATTERN_SIZE: u16 = 33421;
     pub(in crate::bracket::raw) const PATTERN: u16 = 33422;
-    pub(in crate::bracket::raw) const DNG_VERSION: u16 = 50706;
     pub(in crate::bracket::raw) const LINEARISATION: u16 = 50712;
     pub(in crate::bracket::raw) const BLACK_SIZE: u16 = 50713;
     pub(in crate::bracket::raw) const BLACK: u16 = 50714;
@@ -60,8 +59,8 @@ pub(super) struct Tags<R> {
     file: Directories<R>,
     /// The directory of the raw data.
     raw: Directory,
-    /// The first directory, which has what holds for the whole file.
-    main: Directory,
+    /// The first directory, which has what holds for the whole file; none if it is that of the raw data.
+    main: Option<Directory>,
 }
 
 impl<R: Read + Seek> Tags<R> {
@@ -84,14 +83,9 @@ impl<R: Read + Seek> Tags<R> {
                 best = (i, pixels);
             }
         }
-        let main = file.pictures().into_iter().next()?;
-        let raw = all.into_iter().nth(best.0)?;
+        let raw = if best.0 < all.len() { all.swap_remove(best.0) } else { return None };
+        let main = if best.0 == 0 { None } else { Some(all.swap_remove(0)) };
         Some(Tags { file, raw, main })
-    }
-
-    /// Whether the first directory has this tag.
-    pub(super) fn has_main(&mut self, tag: u16) -> bool {
-        self.file.numbers(&self.main, tag).is_some()
     }
 
     /// Whether the samples of the file have their lower byte first.
@@ -106,12 +100,12 @@ impl<R: Read + Seek> Tags<R> {
 
     /// The integers of `tag`; none if there are none.
     pub(super) fn numbers(&mut self, tag: u16) -> Option<Vec<u64>> {
-        self.file.numbers(&self.raw, tag).or_else(|| self.file.numbers(&self.main, tag))
+        self.file.numbers(&self.raw, tag).or_else(|| self.file.numbers(self.main.as_ref()?, tag))
     }
 
     /// The real numbers of `tag`; none if there are none, or if one is not finite.
     pub(super) fn reals(&mut self, tag: u16) -> Option<Vec<f64>> {
-        let found = self.file.reals(&self.raw, tag).or_else(|| self.file.reals(&self.main, tag));
+        let found = self.file.reals(&self.raw, tag).or_else(|| self.file.reals(self.main.as_ref()?, tag));
         found.filter(|values| values.iter().all(|v| v.is_finite()))
     }
 
