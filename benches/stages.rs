@@ -11,7 +11,9 @@ use hdralign::align::grey::Percentile;
 use hdralign::align::photometric::{CommonExposure, ToneTables};
 use hdralign::align::refinement::{FramePair, refine};
 use hdralign::align::resampling::resample_rows;
-use hdralign::align::{AlignOptions, Alignment, GreyPyramid, Model, Motion, align, bitmaps, grey_pyramid};
+use hdralign::align::{
+    AlignOptions, Alignment, Cause, GreyPyramid, Local, Model, Motion, align, bitmaps, grey_pyramid,
+};
 use hdralign::bracket::{Bracket, Codes, Frame, LoadOptions, ReferenceChoice, Samples, load};
 use hdralign::merge::radiance::calibration::Unit;
 use hdralign::merge::radiance::flare;
@@ -149,6 +151,61 @@ fn alignment(c: &mut Criterion) {
     });
     group.throughput(Throughput::Elements(5 * all));
     group.bench_function("whole bracket", |b| b.iter(|| align(black_box(&bracket), &AlignOptions::default())));
+}
+
+/// Returns `frame` at the exposure of `like`, with each pixel fetched from the place that `displaced` returns for it, by
+/// bilinear interpolation.
+fn retaken(frame: &Frame, like: &Frame, displaced: impl Fn(f64, f64) -> (f64, f64)) -> Frame {
+    let (width, height) = (frame.width(), frame.height());
+    let whole = frame.whole().expect("in memory");
+    let Codes::Eight(codes) = whole.codes() else { panic!("testdata/window is of 8 bit") };
+    let ratio = like.exposure.relative() / frame.exposure.relative();
+    let code = |v: f64| (255.0 * (ratio * (v / 255.0).powf(2.2)).min(1.0).powf(1.0 / 2.2) + 0.5) as u8;
+    let mut moved = Vec::with_capacity(codes.len());
+    for i in 0..width * height {
+        let (x, y) = displaced((i % width) as f64, (i / width) as f64);
+        let (x, y) = (x.clamp(0.0, width as f64 - 1.001), y.clamp(0.0, height as f64 - 1.001));
+        let (at, fx, fy) = (3 * (y as usize * width + x as usize), x.fract(), y.fract());
+        for c in at..at + 3 {
+            let across = |c: usize| f64::from(codes[c]) * (1.0 - fx) + f64::from(codes[c + 3]) * fx;
+            moved.push(code(across(c) * (1.0 - fy) + across(c + 3 * width) * fy));
+        }
+    }
+    let mut new = Frame::new(like.path().into(), width, height, Samples::Eight(moved), like.exposure.clone());
+    new.profile.clone_from(&frame.profile);
+    new
+}
+
+/// Measures the alignment of brackets that no homography explains: with a near object, and with rolling shutter.
+fn following(c: &mut Criterion) {
+    let plain = large();
+    let (width, height) = (plain.width() as f64, plain.height() as f64);
+    // Where the camera is at each frame. An object that moved as evenly as a camera could be one that walks.
+    let camera = [(-2.0, 1.0), (1.0, -1.0), (0.0, 0.0), (-1.0, -2.0), (2.0, 0.0)];
+    let bracket_of = |place: &dyn Fn((f64, f64), f64, f64) -> (f64, f64)| {
+        let frames = plain.frames().iter().zip(camera);
+        let reference = plain.reference();
+        let frames = frames.map(|(like, at)| retaken(reference, like, |x, y| place(at, x, y))).collect();
+        Bracket::new(frames, &ReferenceChoice::Number(3)).expect("frames of one size")
+    };
+    // The near object in the middle moves by 9 px, the rest by 2.
+    let near = bracket_of(&|(i, j), x, y| {
+        let (u, v) = (x + 9.0 * i - width / 2.0, y + 9.0 * j - height / 2.0);
+        let parallax = if u.abs() < width / 6.0 && v.abs() < height / 5.0 { 9.0 } else { 2.0 };
+        (x + parallax * i, y + parallax * j)
+    });
+    // The rows are displaced by a wave of up to 4 px.
+    let wave = bracket_of(&|(i, _), x, y| (x + 2.0 * i * (y * 9.0 / height).sin(), y));
+    let mut group = c.benchmark_group("following");
+    group.throughput(Throughput::Elements(5 * pixels(&plain)));
+    for (name, bracket, cause) in [("depth", &near, Cause::Depth), ("bend", &wave, Cause::Shutter)] {
+        let (found, _) = align(bracket, &AlignOptions::default()).expect("the bracket is aligned");
+        assert!((0..5).any(|i| found.cause(i) == Some(cause)), "{name} is not followed");
+        for (what, local) in [("followed", Local::Auto), ("homographies", Local::Off)] {
+            let options = AlignOptions { local, ..AlignOptions::default() };
+            group.bench_function(format!("{name}, {what}"), |b| b.iter(|| align(black_box(bracket), &options)));
+        }
+    }
 }
 
 fn features(c: &mut Criterion) {
@@ -299,6 +356,6 @@ criterion_group! {
         .sample_size(10)
         .warm_up_time(Duration::from_millis(300))
         .measurement_time(Duration::from_secs(2));
-    targets = bitmaps, alignment, features, radiance, files, line
+    targets = bitmaps, alignment, following, features, radiance, files, line
 }
 criterion_main!(stages);

@@ -102,10 +102,16 @@ impl Shorter {
         if !(0..height).any(|y| (0..width).any(|x| is_hole((x, y)) && reference.at(x, y).clips())) {
             return None;
         }
-        let clipped = Plane::from_rows(width, height, |y, row: &mut [bool]| {
-            row.iter_mut().zip(reference.row(y)).for_each(|(is, cell)| *is = cell.clips() && !cell.is_outside());
-        });
-        let parts = region::parts(&clipped);
+        // White is continued by white, and colour by colour: a white coat before a blue wall, of which only the blue is
+        // clipped, stays white.
+        let parts_of = |is_white: bool| {
+            region::parts(&Plane::from_rows(width, height, |y, row: &mut [bool]| {
+                for (is, cell) in row.iter_mut().zip(reference.row(y)) {
+                    *is = cell.clips() && !cell.is_outside() && (0..3).all(|c| cell.is_clipped(c)) == is_white;
+                }
+            }))
+        };
+        let parts = [parts_of(true), parts_of(false)].concat();
         let mut holes: Option<Holes> = None;
         // Holes with the same `clipping`, the number of the shortest frame in which a hole is clipped, are filled
         // together. They are filled only from examples: cells that are clipped in that frame too.
