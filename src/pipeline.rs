@@ -59,8 +59,8 @@ pub struct Options {
     pub response: ResponseModel,
     /// File of a saved response; overrides [`response`](Self::response).
     pub response_file: Option<PathBuf>,
-    /// Weighting function.
-    pub weight: Weight,
+    /// Weighting function; `None` for that which suits the frames, see [`weight_for`](Self::weight_for).
+    pub weight: Option<Weight>,
     /// Deghosting, and its strength.
     pub deghost: Deghost,
     /// Output file of the motion mask, a grey PNG; requires [`deghost`](Self::deghost).
@@ -101,6 +101,12 @@ pub struct Options {
 }
 
 impl Options {
+    /// Returns the weighting function for the frames of `bracket`. The noise of camera raw is known well enough for
+    /// inverse variances; photographs have been processed, so their middle values are trusted most.
+    pub(crate) fn weight_for(&self, bracket: &Bracket) -> Weight {
+        self.weight.unwrap_or(if bracket.reference().is_raw { Weight::Noise } else { Weight::Hat })
+    }
+
     /// Returns the stages that determine the memory of a run that aligns.
     pub(crate) fn aligning(&self) -> Stages {
         let features = matches!(self.align.mode, AlignMode::Auto | AlignMode::Sift | AlignMode::Surf);

@@ -4,6 +4,7 @@
 //! Cost: negligible.
 
 use super::Options;
+use crate::bracket::Bracket;
 use crate::merge::deghost::Ghosts;
 use crate::pipeline::stages::picture::Picture;
 use crate::pipeline::stages::radiance::Radiance;
@@ -15,7 +16,7 @@ use crate::write::picture::Size;
 
 /// Returns the report of a run that only aligns.
 pub(super) fn of_alignment(Aligned { bracket, alignment, region }: &Aligned, options: &Options) -> Report {
-    Report { options: Some(options_report(options, false)), ..Report::new(bracket, alignment, *region) }
+    Report { options: Some(options_report(bracket, options, false)), ..Report::new(bracket, alignment, *region) }
 }
 
 /// Returns the report of a run that merges.
@@ -27,7 +28,7 @@ pub(super) fn of_merge(
     options: &Options,
 ) -> Report {
     Report {
-        options: Some(options_report(options, true)),
+        options: Some(options_report(&aligned.bracket, options, true)),
         local_processing: camera.local_report(radiance.local.as_ref()),
         response: Some(camera.report),
         radiance: Some(radiance.merged.report(radiance.statistics, radiance.limits, options.unit_exposure)),
@@ -41,7 +42,7 @@ pub(super) fn of_merge(
 }
 
 /// Returns the report's section on options: all options if the run `merges`, otherwise only those of the alignment.
-fn options_report(options: &Options, merges: bool) -> OptionsReport {
+fn options_report(bracket: &Bracket, options: &Options, merges: bool) -> OptionsReport {
     let file = options.response_file.as_ref().filter(|_| merges);
     OptionsReport {
         align: options.align.mode,
@@ -52,7 +53,7 @@ fn options_report(options: &Options, merges: bool) -> OptionsReport {
         exposures: merges.then_some(options.exposures),
         response_model: (merges && file.is_none()).then(|| options.response.name()),
         response_file: file.map(|path| path.to_string_lossy().into_owned()),
-        weight: merges.then_some(options.weight),
+        weight: merges.then(|| options.weight_for(bracket)),
         deghost_strength: options.deghost.strength().filter(|_| merges),
         flare: merges.then_some(options.flare),
         colour: options.colour.filter(|_| merges),
@@ -69,6 +70,7 @@ mod tests {
     use super::super::Crop;
     use super::*;
     use crate::merge::deghost::Deghost;
+    use crate::response::tests::still;
 
     #[test]
     fn options_of_an_alignment_have_no_radiance() {
@@ -78,11 +80,13 @@ mod tests {
             crop: Crop::None,
             ..Options::default()
         };
-        let json = |merges| serde_json::to_value(options_report(&options, merges)).unwrap();
+        let (bracket, _) = still((8, 8), &[1.0, 2.0], |_, _| [0.1; 3]);
+        let json = |merges| serde_json::to_value(options_report(&bracket, &options, merges)).unwrap();
         let (merged, aligned) = (json(true), json(false));
         assert_eq!((&merged["crop"], &aligned["crop"]), (&"none".into(), &"none".into()));
         assert_eq!((&merged["response_file"], &merged["response_model"]), (&"c.json".into(), &().into()));
         assert_eq!((&merged["deghost_strength"], &merged["bit_depth"]), (&0.25.into(), &8.into()));
+        assert_eq!(merged["weight"], "hat");
         let radiance = [
             "exposures",
             "response_model",

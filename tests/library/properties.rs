@@ -215,7 +215,7 @@ fn options() -> impl Strategy<Value = Options> {
                     align: AlignOptions { mode, robust, ..AlignOptions::default() },
                     exposures: if switches[0] { Exposures::FineTuned } else { Exposures::AsGiven },
                     response,
-                    weight,
+                    weight: Some(weight),
                     deghost: strength.map_or(Deghost::Off, Deghost::Strength),
                     flare: switches[1],
                     crop: if switches[2] { Crop::Common } else { Crop::None },
@@ -522,7 +522,7 @@ fn any_curve_and_any_exposures_give_finite_radiance() {
             load: LoadOptions { ev: photographs.ev.clone(), ..LoadOptions::default() },
             align: AlignOptions { mode: AlignMode::None, ..AlignOptions::default() },
             response_file: Some(path),
-            weight,
+            weight: Some(weight),
             ..Options::default()
         };
         if let Ok(outcome) = pipeline::develop(&photographs.write(dir.path()), &options, &pipeline::unwatched) {

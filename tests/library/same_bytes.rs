@@ -127,7 +127,7 @@ fn vector_instructions_do_not_change_a_byte() {
     let by_default =
         Options { outputs, write: write::Options { overwrite: true, ..Default::default() }, ..Options::default() };
     let asked_for = Options {
-        weight: Weight::Noise,
+        weight: Some(Weight::Noise),
         deghost: Deghost::Auto,
         flare: true,
         colour: Some(Space::Acescg),

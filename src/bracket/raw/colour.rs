@@ -8,10 +8,11 @@
 //! interpolated by the inverse temperature of the white of the photograph, which depends on the matrix itself, so both
 //! are computed alternately.
 
-use super::Reason;
 use super::tags::{Tags, tag};
+use super::{Reason, stretch};
 use crate::bracket::colour::Primaries;
 use crate::plane::Plane;
+use crate::simd::at_most;
 use nalgebra::{Matrix3, Vector3};
 use std::io::{Read, Seek};
 
@@ -146,16 +147,16 @@ impl Balance {
         Balance { factors: neutral.map(|n| 1.0 / n), top: (0..3).map(|c| clip[c] / neutral[c]).fold(1.0, f32::min) }
     }
 
-    /// The square root of the balanced value of a linear value of colour `c`, 0..=1; 1 if it may be clipped.
+    /// The [stretched](stretch) balanced value of a linear value of colour `c`, at most 1; 1 if it may be clipped.
     #[inline(always)]
-    pub(super) fn root(&self, value: f32, c: usize) -> f32 {
+    pub(super) fn stretched(&self, value: f32, c: usize) -> f32 {
         let v = value * self.factors[c];
-        if v >= self.top { 1.0 } else { v.max(0.0).sqrt() }
+        if v >= self.top { 1.0 } else { at_most(stretch::stretched(v), 1.0) }
     }
 
-    /// The [roots](Self::root) of pixels with three samples.
-    pub(super) fn roots(&self, linear: &Plane<f32>) -> Plane<[f32; 3]> {
-        let pixel = |rgb: &[f32; 3]| [0, 1, 2].map(|c| self.root(rgb[c], c));
+    /// The [stretched](Self::stretched) values of pixels with three samples.
+    pub(super) fn pixels(&self, linear: &Plane<f32>) -> Plane<[f32; 3]> {
+        let pixel = |rgb: &[f32; 3]| [0, 1, 2].map(|c| self.stretched(rgb[c], c));
         let pixels = linear.as_slice().as_chunks::<3>().0.iter().map(pixel).collect();
         Plane::from_vec(linear.width() / 3, linear.height(), pixels)
     }

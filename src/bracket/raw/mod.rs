@@ -9,7 +9,7 @@
 //!
 //! 1. `dng`: the [`Sensor`]: sample values as stored (`chunks`), and what the file says about them (`tags`).
 //! 2. `levels`: linear values, 0 for black and 1 for white.
-//! 3. `colour`: white balance, and the meaning of the colours. Values become square roots.
+//! 3. `colour`: white balance, and the meaning of the colours; values are put on the scale of `stretch`.
 //! 4. `demosaic`: three colours for each pixel.
 
 mod chunks;
@@ -19,11 +19,13 @@ mod dng;
 mod levels;
 mod lossless_jpeg;
 mod pattern;
+mod stretch;
 mod tags;
 
 use crate::bracket::colour::{Curve, Profile, linear_to_srgb};
 use crate::limits::Limits;
 use crate::plane::Plane;
+use crate::simd::{at_least, at_most};
 use colour::{Balance, CameraColour};
 pub(super) use dng::size;
 use levels::Levels;
@@ -92,14 +94,14 @@ pub(super) fn develop(bytes: &[u8], limits: &Limits) -> Result<Developed, Reason
     let (sensor, needed) = dng::read(bytes, limits)?;
     let linear = levels::linear(&sensor)?;
     let balance = Balance::new(sensor.colour.neutral, levels::clip(&linear, &sensor));
-    let roots = match &sensor.arrangement {
+    let stretched = match &sensor.arrangement {
         Arrangement::Mosaic(pattern) => demosaic::demosaic(&linear, pattern, balance),
-        Arrangement::Rgb => balance.roots(&linear),
+        Arrangement::Rgb => balance.pixels(&linear),
     };
     let Area { left, top, width, height } = sensor.crop;
-    let rows = (top..top + height).flat_map(|y| &roots.row(y)[left..left + width]);
+    let rows = (top..top + height).flat_map(|y| &stretched.row(y)[left..left + width]);
     let encoded = Encoded::new();
-    let samples = rows.flatten().map(|&root| encoded.of(root)).collect();
+    let samples = rows.flatten().map(|&v| encoded.of(v)).collect();
     let profile = Profile::of(&sensor.colour.primaries, Curve::Srgb, "camera");
     Ok(Developed { width, height, samples, needed, profile })
 }
@@ -108,20 +110,17 @@ pub(super) fn develop(bytes: &[u8], limits: &Limits) -> Result<Developed, Reason
 struct Encoded(Vec<f32>);
 
 impl Encoded {
-    /// Number of steps of the square root of the linear value, in which the curve is nearly straight.
+    /// Number of steps of the [stretched](stretch) value, in which the curve is nearly straight.
     const STEPS: usize = 4096;
 
     fn new() -> Self {
-        let of = |i: usize| {
-            let root = i as f64 / Self::STEPS as f64;
-            65535.0 * linear_to_srgb(root * root) as f32
-        };
+        let of = |i: usize| 65535.0 * linear_to_srgb(stretch::linear(i as f64 / Self::STEPS as f64)) as f32;
         Encoded((0..=Self::STEPS).map(of).chain([65535.0]).collect())
     }
 
-    /// The encoded value of the square of `root`, 0..=1.
-    fn of(&self, root: f32) -> u16 {
-        let at = root * Self::STEPS as f32;
+    /// The encoded value of a stretched one; 0 if it is below black.
+    fn of(&self, stretched: f32) -> u16 {
+        let at = at_most(at_least(stretched, 0.0), 1.0) * Self::STEPS as f32;
         let whole = (at as usize).min(Self::STEPS);
         let (from, to) = (self.0[whole], self.0[whole + 1]);
         (from + (at - whole as f32) * (to - from) + 0.5) as u16

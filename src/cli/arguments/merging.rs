@@ -22,9 +22,10 @@ pub struct Merging {
     #[command(flatten)]
     recovery: Recovery,
 
-    /// Set the weighting function: how much each pixel value counts in the merge; for experts
-    #[arg(long, hide_short_help = true, value_parser = choice::<Weight>(), default_value_t, value_name = "NAME")]
-    weight: Weight,
+    /// Set the weighting function: how much each pixel value counts in the merge; for experts [default: hat; noise for
+    /// camera raw]
+    #[arg(long, hide_short_help = true, value_parser = choice::<Weight>(), value_name = "NAME")]
+    weight: Option<Weight>,
 
     /// Remove ghosts: auto, off, or 0 to 1 (--deghost=0.8) [default: auto]
     ///

@@ -162,7 +162,7 @@ impl<'a> Run<'a> {
         let Some(mut page) = self.page.take() else { return Ok(()) };
         let began = self.begin(Stage::Inspect)?;
         let Aligned { bracket, alignment, region } = aligned;
-        let merging = MergeOptions { weight: self.options.weight, region: *region };
+        let merging = MergeOptions { weight: self.options.weight_for(bracket), region: *region };
         let developed = merged.map(|(camera, radiance)| Developed {
             curve: &camera.curve,
             merging,

@@ -55,7 +55,7 @@ pub(crate) fn merged(
     let gain = gain.as_ref().map(|gain| gain as deghost::Gain);
     let ghosts = |strength| deghost::find(bracket, alignment, curve, region, strength, gain);
     let ghosts = options.deghost.strength().map(ghosts).transpose()?;
-    let merging = MergeOptions { weight: options.weight, region };
+    let merging = MergeOptions { weight: options.weight_for(bracket), region };
     let merging = Merging::of(bracket, alignment, curve, &merging, ghosts.as_ref())?;
     let merging = merging.with_local_gain(local.as_ref())?;
     let (mut rows, bounds) = RadianceRows::merged(&merging, &Room::of(bracket, merging.size(), options))?;
