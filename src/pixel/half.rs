@@ -17,7 +17,7 @@ const MAX_BITS: u32 = HALF_MAX.to_bits();
 /// Values beyond the largest half float, in magnitude, become the largest. Values other than 0 below the smallest
 /// become the smallest, so that only black is 0. NaN becomes 0.
 #[inline(always)]
-fn half_bits(v: f32) -> u16 {
+pub(crate) fn half_bits(v: f32) -> u16 {
     let bits = v.to_bits();
     let sign = (bits >> 16) & 0x8000;
     let size = bits & 0x7fff_ffff;

@@ -11,7 +11,7 @@ use super::metadata::Metadata;
 use super::row_writer::RowWriter;
 use super::staging::{Pending, Written};
 use super::tiff::logluv;
-use super::{Options, exr, hdr, png, tiff};
+use super::{Options, dng, exr, hdr, png, tiff};
 use crate::bracket::colour::Primaries;
 use crate::error::{Error, Result};
 use crate::merge::RadianceMap;
@@ -29,6 +29,8 @@ pub struct Settled {
     pub sample: exr::Sample,
     /// Values are multiplied by this factor before they are stored as LogLuv.
     pub logluv_scale: f32,
+    /// The brightness of a DNG.
+    pub brightness: dng::Brightness,
     /// The white and the range of gains for the gain map of a JPEG.
     pub rendition: Rendition,
 }
@@ -74,6 +76,15 @@ impl Settled {
                 Ok(())
             })?;
         }
+        let mut brightness = dng::Brightness::default();
+        if is_among(outputs, Format::Dng) {
+            let mut seen = dng::Survey::new(&primaries);
+            each(&mut |_, map| {
+                seen.see(&map.pixels);
+                Ok(())
+            })?;
+            brightness = seen.brightness();
+        }
         let mut rendition = Rendition::default();
         if is_among(outputs, Format::Jpeg) {
             let mut survey = Survey::new(size, &primaries, options.picture.colours);
@@ -84,7 +95,7 @@ impl Settled {
             rendition = survey.rendition(None);
         }
         let logluv_scale = options.tiff.depth().map_or(1.0, |depth| logluv::scale_under(depth, bright));
-        Ok(Settled { sample: options.exr.sample.settled(fit), logluv_scale, rendition })
+        Ok(Settled { sample: options.exr.sample.settled(fit), logluv_scale, brightness, rendition })
     }
 }
 
@@ -291,8 +302,10 @@ fn radiance_writer(
             Box::new(logluv::Writer::new(file, size, metadata, depth, settled.logluv_scale)?)
         }
         (Format::Hdr, _) => Box::new(hdr::Writer::new(file, size, metadata, options.hdr)?),
+        (Format::Dng, _) => Box::new(dng::Writer::new(file, size, metadata, options.dng, settled.brightness)?),
         (Format::Png | Format::Jpeg | Format::TiffPicture, _) => {
-            return Err(Error::UnknownExtension { path: output.path.clone(), known: ".exr, .hdr, .pic, .tif, .tiff" });
+            let known = ".exr, .hdr, .pic, .tif, .tiff, .dng";
+            return Err(Error::UnknownExtension { path: output.path.clone(), known });
         }
         (Format::Exr, _) => {
             let options = exr::Options { sample: settled.sample, ..options.exr.clone() };

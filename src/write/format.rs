@@ -14,6 +14,8 @@ pub enum Format {
     Hdr,
     /// TIFF with 32-bit floats or LogLuv, `.tif` or `.tiff`: radiance.
     Tiff,
+    /// DNG, `.dng`: radiance for raw developers.
+    Dng,
     /// PNG, `.png`: the display picture.
     Png,
     /// JPEG with a gain map, `.jpg` or `.jpeg`: the display picture, and the radiance for HDR displays.
@@ -25,7 +27,7 @@ pub enum Format {
 
 impl Format {
     /// The supported extensions, for error messages.
-    pub const KNOWN: &str = ".exr, .hdr, .pic, .tif, .tiff, .png, .jpg, .jpeg";
+    pub const KNOWN: &str = ".exr, .hdr, .pic, .tif, .tiff, .dng, .png, .jpg, .jpeg";
 
     /// Returns the format for the extension of `path`, which may be in upper or lower case.
     ///
@@ -37,6 +39,7 @@ impl Format {
             "exr" => Ok(Format::Exr),
             "hdr" | "pic" => Ok(Format::Hdr),
             "tif" | "tiff" => Ok(Format::Tiff),
+            "dng" => Ok(Format::Dng),
             "png" => Ok(Format::Png),
             "jpg" | "jpeg" => Ok(Format::Jpeg),
             _ => Err(Error::UnknownExtension { path: path.to_owned(), known: Format::KNOWN }),
@@ -66,7 +69,7 @@ impl Format {
     /// Whether the format contains linear radiance; otherwise it contains the display picture.
     pub fn holds_radiance(self) -> bool {
         match self {
-            Format::Exr | Format::Hdr | Format::Tiff => true,
+            Format::Exr | Format::Hdr | Format::Tiff | Format::Dng => true,
             Format::Png | Format::Jpeg | Format::TiffPicture => false,
         }
     }
@@ -124,7 +127,7 @@ mod tests {
         assert_eq!(of("b.JPEG").unwrap(), Format::Jpeg);
         for unknown in ["b.gif", "b", ".png", "png", "b."] {
             let error = of(unknown).unwrap_err();
-            assert!(error.is_usage() && error.to_string().contains(".tiff, .png, .jpg"), "{error}");
+            assert!(error.is_usage() && error.to_string().contains(".tiff, .dng, .png, .jpg"), "{error}");
         }
     }
 }

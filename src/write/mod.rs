@@ -7,12 +7,13 @@
 //! the files are renamed, the run waits until they are on the disk (fsync).
 //!
 //! Each module uses only those before it: `deflate`, `staging`, `bands`, `metadata`, `row_writer`, `format`, `exif`,
-//! then the formats (`exr`, `hdr`, `tiff`, `png`, `jpeg`), `picture`, `aligned`, `files`.
+//! then the formats (`exr`, `hdr`, `tiff`, `dng`, `png`, `jpeg`), `picture`, `aligned`, `files`.
 
 pub(crate) mod aligned;
 mod bands;
 mod deflate;
 pub(crate) mod displacements;
+pub mod dng;
 mod exif;
 pub mod exr;
 mod files;
@@ -53,6 +54,8 @@ pub struct Options {
     pub hdr: hdr::Encoding,
     /// Pixel encoding of a radiance `.tif`.
     pub tiff: tiff::Encoding,
+    /// Pixel encoding of `.dng`.
+    pub dng: dng::Encoding,
     /// Options for `.jpg`.
     pub jpeg: jpeg::Options,
     /// Options for pictures.

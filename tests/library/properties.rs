@@ -23,7 +23,7 @@ use hdralign::tonemap::display::codes::Colours;
 use hdralign::tonemap::{self, DisplayImage, Operator, Rendering};
 use hdralign::write::picture::{self, Size};
 use hdralign::write::{
-    self, Metadata, exr, hdr,
+    self, Metadata, dng, exr, hdr,
     jpeg::{self, Resolution},
     tiff,
 };
@@ -164,13 +164,15 @@ fn writing() -> impl Strategy<Value = write::Options> {
         select(vec![exr::Compression::Piz, exr::Compression::Zip16, exr::Compression::Zip1, exr::Compression::None]),
         select(vec![hdr::Encoding::Rgbe, hdr::Encoding::Xyze]),
         select(vec![tiff::Encoding::Float, tiff::Encoding::LogLuv24, tiff::Encoding::LogLuv32]),
+        select(vec![dng::Encoding::Half, dng::Encoding::Float, dng::Encoding::Integer]),
         (1..=100u8, select(vec![Resolution::Full, Resolution::Half, Resolution::None])),
     )
-        .prop_map(|(sample, compression, hdr, tiff, (quality, gain_map))| write::Options {
+        .prop_map(|(sample, compression, hdr, tiff, dng, (quality, gain_map))| write::Options {
             overwrite: true,
             exr: exr::Options { sample, compression },
             hdr,
             tiff,
+            dng,
             jpeg: jpeg::Options { quality, gain_map },
             picture: picture::Options::default(),
         })
@@ -267,10 +269,10 @@ fn any_bracket_gives_finite_radiance_or_a_message_and_the_same_bytes_twice() {
     let (merged, refused) = (Cell::new(0), Cell::new(0));
     holds(110, (photographs(), options()), |(photographs, options)| {
         let dir = tempfile::tempdir().expect("a folder");
-        let names = ["a.exr", "a.hdr", "a.tif", "a.png", "a.jpg", "curve.json"];
+        let names = ["a.exr", "a.hdr", "a.tif", "a.dng", "a.png", "a.jpg", "curve.json"];
         let options = Options {
             load: LoadOptions { ev: photographs.ev.clone(), ..LoadOptions::default() },
-            outputs: names[..5].iter().map(|name| dir.path().join(name)).collect(),
+            outputs: names[..6].iter().map(|name| dir.path().join(name)).collect(),
             save_response: Some(dir.path().join("curve.json")),
             ..options
         };

@@ -11,7 +11,7 @@ use hdralign::tonemap::adjust::{self, WhiteBalance};
 use hdralign::tonemap::display::codes::{Colours, Depth};
 use hdralign::write::picture::{self, Size};
 use hdralign::write::{
-    self, exr, hdr,
+    self, dng, exr, hdr,
     jpeg::{self, Resolution},
     tiff,
 };
@@ -123,7 +123,7 @@ fn on(arm: Arm, folder: &Folder, options: &Options) -> (Vec<Vec<u8>>, Value) {
 #[test]
 fn vector_instructions_do_not_change_a_byte() {
     let folder = folder();
-    let outputs = ["a.exr", "a.hdr", "a.tif", "a.png", "a.jpg"].map(|name| folder.at(name)).to_vec();
+    let outputs = ["a.exr", "a.hdr", "a.tif", "a.dng", "a.png", "a.jpg"].map(|name| folder.at(name)).to_vec();
     let by_default =
         Options { outputs, write: write::Options { overwrite: true, ..Default::default() }, ..Options::default() };
     let asked_for = Options {
@@ -137,6 +137,7 @@ fn vector_instructions_do_not_change_a_byte() {
             exr: exr::Options { sample: exr::Sample::Float, ..Default::default() },
             hdr: hdr::Encoding::Xyze,
             tiff: tiff::Encoding::LogLuv32,
+            dng: dng::Encoding::Float,
             jpeg: jpeg::Options { gain_map: Resolution::Half, ..Default::default() },
             picture: picture::Options { colours: Colours::DisplayP3, size: Size::Percent(60.0), ..Default::default() },
         },

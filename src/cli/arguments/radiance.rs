@@ -5,7 +5,7 @@ use crate::cli::heading::OUTPUT;
 use clap::Args;
 use hdralign::bracket::colour::Space;
 use hdralign::write::jpeg::{self, Resolution};
-use hdralign::write::{self, exr, hdr, tiff};
+use hdralign::write::{self, dng, exr, hdr, tiff};
 use strum::IntoEnumIterator;
 
 /// How radiance is written.
@@ -33,6 +33,10 @@ pub struct Radiance {
     /// Set the pixel encoding of radiance in .tif
     #[arg(long, hide_short_help = true, value_parser = choice::<tiff::Encoding>(), default_value_t, value_name = "NAME")]
     tiff_encoding: tiff::Encoding,
+
+    /// Set the pixel encoding of .dng
+    #[arg(long, hide_short_help = true, value_parser = choice::<dng::Encoding>(), default_value_t, value_name = "NAME")]
+    dng_encoding: dng::Encoding,
 
     /// Set the quality of .jpg
     #[arg(long, hide_short_help = true, value_name = "1..100", default_value_t = jpeg::Options::default().quality)]
@@ -70,6 +74,7 @@ impl Radiance {
             exr: exr::Options { sample: self.exr_type, compression: self.exr_compression },
             hdr: self.hdr_encoding,
             tiff: self.tiff_encoding,
+            dng: self.dng_encoding,
             jpeg: jpeg::Options { quality: self.jpeg_quality, gain_map: self.gain_map },
             picture: write::picture::Options::default(),
         }

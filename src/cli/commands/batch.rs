@@ -164,9 +164,9 @@ struct Places {
     #[arg(long, value_name = "TEMPLATE", default_value = "{folder}/{first}-{last}")]
     name: String,
 
-    /// Set formats: exr, hdr, tif (radiance), png, jpg
+    /// Set formats: exr, hdr, tif, dng (radiance), png, jpg
     ///
-    /// The given formats replace the default formats. exr, hdr and tif contain the radiance, png and jpg the picture.
+    /// The given formats replace the default formats. exr, hdr, tif and dng contain the radiance, png and jpg the picture.
     /// For a .tif with the picture give --pictures tif
     #[arg(long, value_name = "FORMAT,...", value_delimiter = ',', default_value = "exr,png")]
     formats: Vec<String>,
@@ -336,7 +336,7 @@ impl Args {
         // The error of the library names a file and the options of `merge`.
         let of_pictures = |error: Error| match error {
             Error::Option { .. } => {
-                let reason = "it takes only formats of pictures (png, jpg, tif); give exr and hdr with --formats";
+                let reason = "it takes only formats of pictures (png, jpg, tif); give exr, hdr and dng with --formats";
                 Error::Option { option: "--pictures", reason: reason.into() }
             }
             other => other,

@@ -34,7 +34,7 @@ pub struct Args {
     #[command(flatten)]
     merging: Merging,
 
-    /// Write a result: .exr .hdr .tif (radiance), .png .jpg (picture; .jpg with a gain map for HDR displays)
+    /// Write a result: .exr .hdr .tif .dng (radiance), .png .jpg (picture; .jpg with a gain map for HDR displays)
     ///
     /// May be repeated. If neither -o nor --picture is given, FIRST-LAST.exr and FIRST-LAST.png are written beside the
     /// photographs

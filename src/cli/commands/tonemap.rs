@@ -41,7 +41,7 @@ pub struct Args {
     #[command(flatten)]
     encoding: Picture,
 
-    /// Write a result: .png .jpg (picture; .jpg with a gain map for HDR displays), .exr .hdr .tif (radiance)
+    /// Write a result: .png .jpg (picture; .jpg with a gain map for HDR displays), .exr .hdr .tif .dng (radiance)
     ///
     /// May be repeated. Without -o and --picture, room.exr gives room.png beside it
     #[arg(short, long, help_heading = OUTPUT, value_name = "OUT")]

@@ -45,11 +45,13 @@ pub(crate) mod tag {
     pub const LENS_MODEL: u16 = 42036;
 }
 
+const BYTE: u16 = 1;
 const ASCII: u16 = 2;
 const SHORT: u16 = 3;
 const LONG: u16 = 4;
 const RATIONAL: u16 = 5;
 const UNDEFINED: u16 = 7;
+const SIGNED_RATIONAL: u16 = 10;
 const DOUBLE: u16 = 12;
 const LONG8: u16 = 16;
 
@@ -128,7 +130,30 @@ impl Directory {
         self.rational(tag::WHITE_POINT, &white);
     }
 
-    fn rational(&mut self, tag: u16, values: &[f64]) {
+    /// Whether the file is a BigTIFF.
+    pub(crate) fn is_big(&self) -> bool {
+        self.big
+    }
+
+    /// Adds a directory to which `pointer` points.
+    pub(crate) fn other(&mut self, pointer: u16, directory: Directory) {
+        self.others.insert(pointer, directory);
+    }
+
+    /// Adds bytes.
+    pub(crate) fn bytes_of(&mut self, tag: u16, bytes: &[u8]) {
+        self.put(tag, BYTE, bytes.len() as u64, bytes.to_vec());
+    }
+
+    /// Adds fractions with a sign, in units of a millionth.
+    pub(crate) fn signed_rational(&mut self, tag: u16, values: &[f64]) {
+        const UNIT: i32 = 1_000_000;
+        let parts = values.iter().map(|&v| ((v * f64::from(UNIT)).round() as i32, UNIT));
+        let bytes = parts.flat_map(|(n, d)| [n.to_le_bytes(), d.to_le_bytes()].concat()).collect();
+        self.put(tag, SIGNED_RATIONAL, values.len() as u64, bytes);
+    }
+
+    pub(crate) fn rational(&mut self, tag: u16, values: &[f64]) {
         let parts = values.iter().map(|&v| fraction(v));
         let bytes = parts.flat_map(|(n, d)| [n.to_le_bytes(), d.to_le_bytes()].concat()).collect();
         self.put(tag, RATIONAL, values.len() as u64, bytes);

@@ -11,15 +11,16 @@
 //! The `tiff` crate's encoder writes the byte order of the machine and compresses strip after strip on one thread, so
 //! this module writes the structure of the file itself; the tests read it with the decoder of that crate.
 
-mod directory;
+pub(super) mod directory;
 mod displacement;
 pub(crate) mod logluv;
 mod sample;
-mod strips;
+pub(super) mod strips;
 mod writer;
 
 use crate::pixel::logluv::Depth;
 
+pub(crate) use sample::Half;
 #[doc(hidden)]
 pub use sample::Sample;
 #[doc(hidden)]

@@ -52,17 +52,35 @@ impl Sample for f32 {
     const FORMAT: u16 = 3;
     const PREDICTOR: u16 = 3;
 
-    /// Appends the highest bytes of all samples of the row, then all second, third and fourth bytes. Each byte is
-    /// stored as its difference from the byte one pixel before.
     fn put_predicted<const N: usize>(row: &[[f32; N]], out: &mut Vec<u8>) {
-        let samples = row.as_flattened();
-        let start = out.len();
-        for byte in 0..4 {
-            out.extend(samples.iter().map(|v| v.to_be_bytes()[byte]));
-        }
-        let bytes = &mut out[start..];
-        for i in (N..bytes.len()).rev() {
-            bytes[i] = bytes[i].wrapping_sub(bytes[i - N]);
-        }
+        put_bytes(row, |v| v.to_be_bytes(), out);
+    }
+}
+
+/// The bits of a half float.
+#[derive(Debug, Clone, Copy)]
+pub struct Half(pub(crate) u16);
+
+impl Sample for Half {
+    const BITS: u16 = 16;
+    const FORMAT: u16 = 3;
+    const PREDICTOR: u16 = 3;
+
+    fn put_predicted<const N: usize>(row: &[[Half; N]], out: &mut Vec<u8>) {
+        put_bytes(row, |v| v.0.to_be_bytes(), out);
+    }
+}
+
+/// Appends the highest bytes of all samples of the row, then all second bytes, and so on. Each byte is stored as its
+/// difference from the byte one pixel before.
+fn put_bytes<T: Copy, const N: usize, const B: usize>(row: &[[T; N]], bytes: impl Fn(T) -> [u8; B], out: &mut Vec<u8>) {
+    let samples = row.as_flattened();
+    let start = out.len();
+    for byte in 0..B {
+        out.extend(samples.iter().map(|&v| bytes(v)[byte]));
+    }
+    let bytes = &mut out[start..];
+    for i in (N..bytes.len()).rev() {
+        bytes[i] = bytes[i].wrapping_sub(bytes[i - N]);
     }
 }

@@ -44,11 +44,29 @@ impl Strips {
         Ok(())
     }
 
+    /// Writes other data after the strips, and returns their offset.
+    pub(crate) fn append(&mut self, bytes: &[u8]) -> Result<u64> {
+        let at = self.at;
+        self.file.put(bytes)?;
+        self.at += bytes.len() as u64;
+        Ok(at)
+    }
+
+    /// Takes the directory, with the places of the strips; another can be set.
+    pub(crate) fn described(&mut self) -> Directory {
+        let empty = Directory::new(self.directory.is_big());
+        let mut directory = std::mem::replace(&mut self.directory, empty);
+        let (offsets, counts): (Vec<u64>, Vec<u64>) = std::mem::take(&mut self.strips).into_iter().unzip();
+        if !offsets.is_empty() {
+            directory.long(tag::STRIP_OFFSETS, &offsets);
+            directory.long(tag::STRIP_COUNTS, &counts);
+        }
+        directory
+    }
+
     /// Writes the directory, and its offset.
     pub(crate) fn end(mut self) -> Result<Pending> {
-        let (offsets, counts): (Vec<u64>, Vec<u64>) = self.strips.iter().copied().unzip();
-        self.directory.long(tag::STRIP_OFFSETS, &offsets);
-        self.directory.long(tag::STRIP_COUNTS, &counts);
+        self.directory = self.described();
         // The directory must have an even offset.
         let place = self.at.next_multiple_of(2);
         let mut end = vec![0; (place - self.at) as usize];
