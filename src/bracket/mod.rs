@@ -40,7 +40,7 @@ use std::sync::Arc;
 use window::Store;
 
 /// File extensions of the photographs read from a folder, compared without case.
-pub(crate) const EXTENSIONS: [&str; 7] = ["jpg", "jpeg", "jpe", "jfif", "png", "tif", "tiff"];
+pub(crate) const EXTENSIONS: [&str; 8] = ["jpg", "jpeg", "jpe", "jfif", "png", "tif", "tiff", "dng"];
 
 /// Pixel values: interleaved RGB by rows.
 #[doc(hidden)]

@@ -113,6 +113,12 @@ impl<R: Read + Seek> Directories<R> {
         Some(bytes.chunks_exact(size as usize).map(|bytes| number(bytes, self.is_little)).collect())
     }
 
+    /// Returns the bytes of the entry `tag`, if it is of bytes.
+    pub(crate) fn opaque(&mut self, directory: &Directory, tag: u16) -> Option<Vec<u8>> {
+        let entry = directory.entry(tag).filter(|entry| matches!(entry.kind, 1 | 7))?;
+        self.bytes(entry.value, usize::try_from(entry.count).ok()?)
+    }
+
     /// Returns the values of the entry `tag` as real numbers, whatever their type: integers, fractions or floats.
     pub(crate) fn reals(&mut self, directory: &Directory, tag: u16) -> Option<Vec<f64>> {
         let entry = directory.entry(tag)?;

@@ -220,7 +220,11 @@ fn batch_makes_pictures_beside_its_results() {
     folder.line(line).done();
     assert!(before == folder.bytes("out/w2-w4.tif"), "done before");
     refused(&folder, "batch in -d other --formats exr,tif --pictures tif", &["--pictures", "tif is given twice"]);
-    refused(&folder, "batch in -d other --formats png --pictures exr", &["--pictures", "exr and hdr with --formats"]);
+    refused(
+        &folder,
+        "batch in -d other --formats png --pictures exr",
+        &["--pictures", "exr, hdr and dng with --formats"],
+    );
     refused(&folder, "batch in -d other --formats exr --bit-depth 16", &["--bit-depth", "no picture"]);
     refused(&folder, "batch in -d other --formats png,jpg --bit-depth 16", &["--bit-depth", "JPEG"]);
 }

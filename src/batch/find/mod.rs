@@ -139,7 +139,7 @@ impl fmt::Display for Reason {
             Reason::Raw(None) => {
                 write!(
                     f,
-                    "a raw file, which batch does not read; merge DNG files with `hdralign merge`, or develop them to 16-bit TIFFs, with the same settings for all frames"
+                    "a raw file of a format that is not supported; convert it to DNG, for example with Adobe's DNG Converter"
                 )
             }
             Reason::Format(format) => write!(f, "{format}, which is not supported; convert it to TIFF or JPEG"),

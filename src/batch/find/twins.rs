@@ -76,10 +76,11 @@ pub(super) fn photographs(
 }
 
 /// Returns the rank of a file; the file with the larger rank is used. The rank compares first whether the exposure is
-/// known, then the bit depth, then the format (TIFF is better than PNG, PNG better than JPEG).
+/// known, then the bit depth, then the format (DNG is better than TIFF, TIFF than PNG, PNG than JPEG).
 fn rank(shot: &Shot) -> (bool, u8, u8) {
     let extension = shot.path.extension().unwrap_or_default().to_ascii_lowercase();
     let lossless = match extension.to_str() {
+        Some("dng") => 3,
         Some("tif" | "tiff") => 2,
         Some("png") => 1,
         _ => 0,

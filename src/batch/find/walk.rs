@@ -58,18 +58,18 @@ impl Place {
 /// The kind of a file, by its extension.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
-    /// JPEG, PNG or TIFF.
+    /// JPEG, PNG, TIFF or DNG.
     Picture,
-    /// A camera raw file.
+    /// A camera raw file other than DNG.
     Raw,
     /// A photograph in another format.
     Other(&'static str),
 }
 
-/// Extensions of raw files: most of those that ExifTool lists, and `ari`, `bay` and `dcs`.
-const RAW: [&str; 32] = [
-    "3fr", "ari", "arw", "bay", "cr2", "cr3", "crw", "dcr", "dcs", "dng", "erf", "fff", "gpr", "iiq", "k25", "kdc",
-    "mef", "mos", "mrw", "nef", "nrw", "orf", "ori", "pef", "raf", "raw", "rw2", "rwl", "sr2", "srf", "srw", "x3f",
+/// Extensions of raw files other than DNG: most of those that ExifTool lists, and `ari`, `bay` and `dcs`.
+const RAW: [&str; 31] = [
+    "3fr", "ari", "arw", "bay", "cr2", "cr3", "crw", "dcr", "dcs", "erf", "fff", "gpr", "iiq", "k25", "kdc", "mef",
+    "mos", "mrw", "nef", "nrw", "orf", "ori", "pef", "raf", "raw", "rw2", "rwl", "sr2", "srf", "srw", "x3f",
 ];
 
 impl Kind {

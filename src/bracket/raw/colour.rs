@@ -11,7 +11,6 @@
 use super::tags::{Tags, tag};
 use super::{Reason, stretch};
 use crate::bracket::colour::Primaries;
-use crate::plane::Plane;
 use crate::simd::at_most;
 use nalgebra::{Matrix3, Vector3};
 use std::io::{Read, Seek};
@@ -147,6 +146,16 @@ impl Balance {
         Balance { factors: neutral.map(|n| 1.0 / n), top: (0..3).map(|c| clip[c] / neutral[c]).fold(1.0, f32::min) }
     }
 
+    /// The factor on values of colour `c`.
+    pub(super) fn factor(&self, c: usize) -> f32 {
+        self.factors[c]
+    }
+
+    /// The balanced value from which a colour may be clipped.
+    pub(super) fn top(&self) -> f32 {
+        self.top
+    }
+
     /// The [stretched](stretch) balanced value of a linear value of colour `c`, at most 1; 1 if it may be clipped.
     #[inline(always)]
     pub(super) fn stretched(&self, value: f32, c: usize) -> f32 {
@@ -154,10 +163,8 @@ impl Balance {
         if v >= self.top { 1.0 } else { at_most(stretch::stretched(v), 1.0) }
     }
 
-    /// The [stretched](Self::stretched) values of pixels with three samples.
-    pub(super) fn pixels(&self, linear: &Plane<f32>) -> Plane<[f32; 3]> {
-        let pixel = |rgb: &[f32; 3]| [0, 1, 2].map(|c| self.stretched(rgb[c], c));
-        let pixels = linear.as_slice().as_chunks::<3>().0.iter().map(pixel).collect();
-        Plane::from_vec(linear.width() / 3, linear.height(), pixels)
+    /// The [stretched](Self::stretched) values of a pixel with three samples.
+    pub(super) fn pixel(&self, linear: [f32; 3]) -> [f32; 3] {
+        [0, 1, 2].map(|c| self.stretched(linear[c], c))
     }
 }

@@ -1,8 +1,8 @@
 //! Demosaicing: three colours for each pixel of a Bayer mosaic.
 //!
 //! In: linear values of a mosaic. Out: [stretched](super::stretch) RGB, white balanced, 1 where they are clipped. Cost:
-//! about two hundred operations for each pixel. Source: Pekkucuksen & Altunbasak, "Gradient Based Threshold Free Color Filter
-//! Array Interpolation", ICIP 2010.
+//! about a hundred operations for each pixel. Source: Pekkucuksen & Altunbasak, "Gradient Based Threshold Free Color
+//! Filter Array Interpolation", ICIP 2010.
 //!
 //! The difference between green and the other colour of a row (or column) is estimated along rows and along columns.
 //! At each red or blue pixel, it is averaged in four directions; a direction counts the less, the more the difference
@@ -11,41 +11,52 @@
 //!
 //! The differences are those of stretched values: the green and the red of a leaf have the same ratio in its light and
 //! in its shadow.
+//!
+//! A tile and all its intermediate values fit into the L2 cache. In a tile, a step of 1 goes to the next column and a
+//! step of [`WIDTH`] to the next row. All loops run over whole tiles; values in the border of a tile are wrong, the more
+//! the later they are computed, and are not used.
 
 use super::colour::Balance;
 use super::pattern::Pattern;
-use crate::plane::{BAND_ROWS, Plane};
-use crate::simd::at_most;
+use super::{Area, stretch};
+use crate::plane::Plane;
+use crate::simd::{Loops, at_most, vectorised};
 use rayon::prelude::*;
 
-/// Width of the border of a band: the filters below reach 3 (red and blue), 4 (directions) and 2 + 1 pixels far.
+/// Width of the border of a tile: the filters below reach 3 (red and blue), 2 (directions), 2 + 1 (changes) and 2
+/// pixels (differences) far.
 const BORDER: usize = 12;
-/// Length of the averages of differences, including the pixel itself.
-const LENGTH: usize = 5;
+/// Columns and rows of a tile.
+const COLUMNS: usize = 232;
+const ROWS: usize = 128;
+/// Columns with the border.
+const WIDTH: usize = COLUMNS + 2 * BORDER;
 /// Added to the sums of changes, so that they can be inverted.
 const LEAST_CHANGE: f32 = 1e-4;
 
-/// Interpolates the colours that the mosaic `linear` lacks.
-pub(super) fn demosaic(linear: &Plane<f32>, pattern: &Pattern, balance: Balance) -> Plane<[f32; 3]> {
-    let (width, height) = (linear.width(), linear.height());
-    let mut pixels = vec![[0.0f32; 3]; width * height];
-    pixels.par_chunks_mut(BAND_ROWS * width).enumerate().for_each(|(band, rows)| {
-        Band::new(linear, pattern, balance, band * BAND_ROWS, rows.len() / width).interpolate(rows);
+/// Interpolates the colours that the mosaic `linear` lacks in `area`; `encoded` converts each pixel.
+pub(super) fn demosaic<T: Copy + Default + Send>(
+    linear: &Plane<f32>,
+    pattern: &Pattern,
+    balance: Balance,
+    area: Area,
+    encoded: impl Fn([f32; 3]) -> T + Sync,
+) -> Vec<T> {
+    let mut pixels = vec![T::default(); area.width * area.height];
+    pixels.par_chunks_mut(ROWS * area.width).enumerate().for_each_init(Tile::new, |tile, (band, out)| {
+        for left in (0..area.width).step_by(COLUMNS) {
+            let at = (area.left + left, area.top + band * ROWS);
+            tile.interpolate(linear, pattern, balance, at, out.len() / area.width);
+            for (y, row) in out.chunks_exact_mut(area.width).enumerate() {
+                let columns = left..(left + COLUMNS).min(area.width);
+                let [red, green, blue] = tile.row(y, pattern, at);
+                for (x, pixel) in row[columns].iter_mut().enumerate() {
+                    *pixel = encoded([red[x], green[x], blue[x]]);
+                }
+            }
+        }
     });
-    Plane::from_vec(width, height, pixels)
-}
-
-/// Some rows of a mosaic, with a border on all sides.
-struct Band<'a> {
-    pattern: &'a Pattern,
-    /// Row of the picture at the first row of the band.
-    first: usize,
-    rows: usize,
-    /// Size with the border.
-    width: usize,
-    height: usize,
-    /// Stretched values of the mosaic.
-    mosaic: Vec<f32>,
+    pixels
 }
 
 /// The index, within 0..`length`, at the same distance from the end on the other side of it. Mirrored pixels have the
@@ -59,177 +70,263 @@ fn mirrored(i: isize, length: usize) -> usize {
     i.min(2 * last - i) as usize
 }
 
-impl<'a> Band<'a> {
-    fn new(linear: &Plane<f32>, pattern: &'a Pattern, balance: Balance, first: usize, rows: usize) -> Self {
-        let (width, height) = (linear.width() + 2 * BORDER, rows + 2 * BORDER);
-        let mut mosaic = Vec::with_capacity(width * height);
-        for y in 0..height {
-            let v = mirrored((first + y) as isize - BORDER as isize, linear.height());
-            let row = linear.row(v);
-            mosaic.extend((0..width).map(|x| {
-                let u = mirrored(x as isize - BORDER as isize, linear.width());
-                balance.stretched(row[u], pattern.at(u, v))
-            }));
+/// A part of a mosaic with a border on all sides, and what is computed from it. Rows are [`WIDTH`] values long.
+struct Tile {
+    /// Stretched values of the mosaic.
+    mosaic: Vec<f32>,
+    /// 1 at green pixels, -1 at others.
+    sign: Vec<f32>,
+    /// Green minus the other colour, along rows and along columns.
+    differences: [Vec<f32>; 2],
+    /// 1 over the square of the change of the differences around, along rows and along columns.
+    weights: [Vec<f32>; 2],
+    /// Mean of the differences of five pixels, times their weight.
+    means: [Vec<f32>; 2],
+    scratch: [Vec<f32>; 2],
+    /// Green minus the pixel's own colour: 0 at green pixels.
+    difference: Vec<f32>,
+    /// A row of red, green and blue.
+    row: [[f32; COLUMNS]; 3],
+}
+
+impl Tile {
+    fn new() -> Self {
+        let empty = || vec![0.0; WIDTH * (ROWS + 2 * BORDER)];
+        Tile {
+            mosaic: empty(),
+            sign: empty(),
+            differences: [empty(), empty()],
+            weights: [empty(), empty()],
+            means: [empty(), empty()],
+            scratch: [empty(), empty()],
+            difference: empty(),
+            row: [[0.0; COLUMNS]; 3],
         }
-        Band { pattern, first, rows, width, height, mosaic }
     }
 
-    /// The colour of the pixel (x, y) of the band.
-    fn colour(&self, x: usize, y: usize) -> usize {
-        // The border has an even width, so the colours in it are those of the pattern.
-        self.pattern.at(x + BORDER, self.first + y + BORDER)
+    /// Computes the differences of the tile whose first pixel, without the border, is `left`, `top` of `linear`.
+    fn interpolate(
+        &mut self,
+        linear: &Plane<f32>,
+        pattern: &Pattern,
+        balance: Balance,
+        (left, top): (usize, usize),
+        rows: usize,
+    ) {
+        let count = WIDTH * (rows + 2 * BORDER);
+        let column = |x: usize| mirrored((left + x) as isize - BORDER as isize, linear.width());
+        let is_inside = left >= BORDER && left - BORDER + WIDTH <= linear.width();
+        let (mosaic, sign) = (&mut self.mosaic[..count], &mut self.sign[..count]);
+        for (y, (mosaic, sign)) in mosaic.chunks_exact_mut(WIDTH).zip(sign.chunks_exact_mut(WIDTH)).enumerate() {
+            let v = mirrored((top + y) as isize - BORDER as isize, linear.height());
+            if is_inside {
+                mosaic.copy_from_slice(&linear.row(v)[left - BORDER..][..WIDTH]);
+            } else {
+                mosaic.iter_mut().enumerate().for_each(|(x, m)| *m = linear.row(v)[column(x)]);
+            }
+            // Neighbours have two colours, in turn.
+            let colours = [0, 1].map(|x| pattern.at(column(x), v));
+            let signs = colours.map(|colour| if colour == 1 { 1.0 } else { -1.0 });
+            sign.as_chunks_mut::<2>().0.fill(signs);
+            vectorised(Stretched { mosaic, factors: colours.map(|colour| balance.factor(colour)), top: balance.top() });
+        }
+        for (direction, step) in [1, WIDTH].into_iter().enumerate() {
+            vectorised(Direction {
+                step,
+                mosaic: &self.mosaic[..count],
+                sign: &self.sign[..count],
+                differences: &mut self.differences[direction][..count],
+                weights: &mut self.weights[direction][..count],
+                means: &mut self.means[direction][..count],
+                scratch: self.scratch.each_mut().map(|s| &mut s[..count]),
+            });
+        }
+        vectorised(Combined {
+            sign: &self.sign[..count],
+            weights: self.weights.each_ref().map(|w| &w[..count]),
+            means: self.means.each_ref().map(|m| &m[..count]),
+            difference: &mut self.difference[..count],
+        });
     }
 
-    /// The difference between green and the other colour, along a direction in which neighbours are `step` apart.
-    fn differences(&self, step: usize) -> Vec<f32> {
-        let (m, mut all) = (&self.mosaic, vec![0.0; self.mosaic.len()]);
-        for y in 2..self.height - 2 {
-            for x in 2..self.width - 2 {
-                let i = y * self.width + x;
-                let between = 0.5 * (m[i - step] + m[i + step]);
-                let bend = 0.25 * (2.0 * m[i] - m[i - 2 * step] - m[i + 2 * step]);
-                let other = between + bend;
-                all[i] = if self.colour(x, y) == 1 { m[i] - other } else { other - m[i] };
-            }
-        }
-        all
+    /// Returns red, green and blue of row `y` of the tile at `left`, `top`.
+    fn row(&mut self, y: usize, pattern: &Pattern, (left, top): (usize, usize)) -> &[[f32; COLUMNS]; 3] {
+        let first = (y + BORDER) * WIDTH + BORDER;
+        // The other colour of the row.
+        let colours = [0, 1].map(|x| pattern.at(left + x, top + y));
+        let own = if colours[0] == 1 { colours[1] } else { colours[0] };
+        let [red, green, blue] = &mut self.row;
+        let (same, opposite) = if own == 0 { (red, blue) } else { (blue, red) };
+        let (mosaic, sign, difference) = (&self.mosaic, &self.sign[first..], &self.difference);
+        vectorised(Row { first, mosaic: &mosaic[first..], sign, difference, green, same, opposite });
+        &self.row
     }
+}
 
-    /// How much `differences` change along a direction: sums over squares of five pixels.
-    fn changes(&self, differences: &[f32], step: usize) -> Vec<f32> {
-        let (width, height) = (self.width, self.height);
-        let mut change = vec![0.0; differences.len()];
-        for i in (3 * width + 3)..(differences.len() - 3 * width - 3) {
-            change[i] = (differences[i - step] - differences[i + step]).abs();
+/// Stretches a row of a mosaic.
+struct Stretched<'a> {
+    mosaic: &'a mut [f32],
+    /// Factors of white balance of even and of odd pixels.
+    factors: [f32; 2],
+    /// The value from which a colour may be clipped.
+    top: f32,
+}
+
+impl Loops for Stretched<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let [even, odd] = self.factors;
+        for pair in self.mosaic.as_chunks_mut::<2>().0 {
+            (pair[0], pair[1]) = (pair[0] * even, pair[1] * odd);
         }
-        let mut along = vec![0.0; change.len()];
-        for i in 2..change.len() - 2 {
-            along[i] = change[i - 2] + change[i - 1] + change[i] + change[i + 1] + change[i + 2];
+        for m in self.mosaic.iter_mut() {
+            let stretched = at_most(stretch::stretched(*m), 1.0);
+            *m = if *m >= self.top { 1.0 } else { stretched };
         }
-        for y in 2..height - 2 {
-            for i in y * width..(y + 1) * width {
-                change[i] =
-                    along[i - 2 * width] + along[i - width] + along[i] + along[i + width] + along[i + 2 * width];
-            }
-        }
-        change
     }
+}
 
-    /// Writes the colours of the rows of the band.
-    fn interpolate(&self, rows: &mut [[f32; 3]]) {
-        let width = self.width;
-        let steps = [1, width];
-        let differences = steps.map(|step| self.differences(step));
-        let changes = [0, 1].map(|d| self.changes(&differences[d], steps[d]));
-        // Green minus the pixel's own colour: 0 at green pixels.
-        let mut difference = vec![0.0f32; self.mosaic.len()];
-        for y in 5..self.height - 5 {
-            for x in (5..width - 5).filter(|&x| self.colour(x, y) != 1) {
-                let i = y * width + x;
-                let (mut sum, mut weights) = (0.0, 0.0);
-                for ((differences, changes), step) in differences.iter().zip(&changes).zip(steps) {
-                    for is_before in [true, false] {
-                        let first = if is_before { i - (LENGTH - 1) * step } else { i };
-                        let mean = (0..LENGTH).map(|k| differences[first + k * step]).sum::<f32>() / LENGTH as f32;
-                        let centre = if is_before { i - 2 * step } else { i + 2 * step };
-                        let change = changes[centre] + LEAST_CHANGE;
-                        let weight = 1.0 / (change * change);
-                        (sum, weights) = (sum + weight * mean, weights + weight);
-                    }
-                }
-                difference[i] = sum / weights;
-            }
+/// Computes the differences along one direction, their means and their weights.
+struct Direction<'a> {
+    /// Distance of neighbours.
+    step: usize,
+    mosaic: &'a [f32],
+    sign: &'a [f32],
+    differences: &'a mut [f32],
+    weights: &'a mut [f32],
+    means: &'a mut [f32],
+    scratch: [&'a mut [f32]; 2],
+}
+
+/// The elements of `values` that are `by` before and after each of those from `margin` on to as many before the end.
+#[inline(always)]
+fn beside(values: &[f32], margin: usize, by: usize) -> [&[f32]; 2] {
+    let count = values.len() - 2 * margin;
+    [&values[margin - by..][..count], &values[margin + by..][..count]]
+}
+
+/// Writes the sums of five values, `step` apart.
+#[inline(always)]
+fn sums(values: &[f32], step: usize, out: &mut [f32]) {
+    let margin = 2 * step;
+    let count = values.len() - 2 * margin;
+    let ([a, e], [b, d]) = (beside(values, margin, 2 * step), beside(values, margin, step));
+    let (c, out) = (&values[margin..][..count], &mut out[margin..][..count]);
+    for i in 0..count {
+        out[i] = a[i] + b[i] + c[i] + d[i] + e[i];
+    }
+}
+
+impl Loops for Direction<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let Direction { step, mosaic, sign, differences, weights, means, scratch: [changes, along] } = self;
+        let margin = 2 * step;
+        let count = mosaic.len() - 2 * margin;
+        let ([before, after], [far_before, far_after]) =
+            (beside(mosaic, margin, step), beside(mosaic, margin, 2 * step));
+        let (m, s, d) = (&mosaic[margin..][..count], &sign[margin..][..count], &mut differences[margin..][..count]);
+        for i in 0..count {
+            let between = 0.5 * (before[i] + after[i]);
+            let bend = 0.25 * (2.0 * m[i] - far_before[i] - far_after[i]);
+            d[i] = s[i] * (m[i] - (between + bend));
         }
-        let m = &self.mosaic;
-        let out_width = width - 2 * BORDER;
-        for (y, row) in rows.chunks_exact_mut(out_width).enumerate().take(self.rows) {
-            for (x, rgb) in row.iter_mut().enumerate() {
-                let (x, y) = (x + BORDER, y + BORDER);
-                let (i, own) = (y * width + x, self.colour(x, y));
-                let green = m[i] + difference[i];
-                let d = |dx: isize, dy: isize| difference[i.wrapping_add_signed(dy * width as isize + dx)];
-                *rgb = [green; 3];
-                if own == 1 {
-                    let across = self.colour(x + 1, y);
-                    rgb[across] = green - 0.5 * (d(-1, 0) + d(1, 0));
-                    rgb[2 - across] = green - 0.5 * (d(0, -1) + d(0, 1));
-                } else {
-                    // The filter of the paper, equation 10.
-                    let near = d(-1, -1) + d(1, -1) + d(-1, 1) + d(1, 1);
-                    let far = d(-3, -1) + d(3, -1) + d(-3, 1) + d(3, 1) + d(-1, -3) + d(1, -3) + d(-1, 3) + d(1, 3);
-                    rgb[own] = m[i];
-                    rgb[2 - own] = green - (10.0 * near - far) / 32.0;
-                }
-                *rgb = rgb.map(|v| at_most(v, 1.0));
-            }
+        let count = mosaic.len() - 2 * step;
+        let ([before, after], change) = (beside(differences, step, step), &mut changes[step..][..count]);
+        for i in 0..count {
+            change[i] = (before[i] - after[i]).abs();
+        }
+        sums(changes, 1, along);
+        sums(along, WIDTH, changes);
+        for (weight, change) in weights.iter_mut().zip(changes.iter()) {
+            let change = change + LEAST_CHANGE;
+            *weight = 1.0 / (change * change);
+        }
+        sums(differences, step, means);
+        for (mean, weight) in means.iter_mut().zip(weights.iter()) {
+            *mean *= 0.2 * weight;
+        }
+    }
+}
+
+/// The values two columns and two rows before and after each pixel but those of two rows at both ends, for values along
+/// rows and along columns.
+#[inline(always)]
+fn around([along_rows, along_columns]: [&[f32]; 2]) -> [[&[f32]; 2]; 2] {
+    [beside(along_rows, 2 * WIDTH, 2), beside(along_columns, 2 * WIDTH, 2 * WIDTH)]
+}
+
+/// Combines the four directions at red and blue pixels.
+struct Combined<'a> {
+    sign: &'a [f32],
+    weights: [&'a [f32]; 2],
+    means: [&'a [f32]; 2],
+    difference: &'a mut [f32],
+}
+
+impl Loops for Combined<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let margin = 2 * WIDTH;
+        let count = self.sign.len() - 2 * margin;
+        // The means before a pixel are centred two pixels before it.
+        let [[a, b], [c, d]] = around(self.weights);
+        let [[e, f], [g, h]] = around(self.means);
+        let (sign, difference) = (&self.sign[margin..][..count], &mut self.difference[margin..][..count]);
+        for i in 0..count {
+            let mean = (e[i] + f[i] + g[i] + h[i]) / (a[i] + b[i] + c[i] + d[i]);
+            difference[i] = if sign[i] > 0.0 { 0.0 } else { mean };
+        }
+    }
+}
+
+/// Computes the colours of a row.
+struct Row<'a> {
+    /// Index of the first pixel of the row in `difference`; the other slices start there.
+    first: usize,
+    mosaic: &'a [f32],
+    sign: &'a [f32],
+    difference: &'a [f32],
+    green: &'a mut [f32; COLUMNS],
+    /// The colour of this row that is not green, and that of the next row.
+    same: &'a mut [f32; COLUMNS],
+    opposite: &'a mut [f32; COLUMNS],
+}
+
+impl Loops for Row<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run(self) {
+        let at = |dx: isize, dy: isize| -> &[f32] {
+            &self.difference[self.first.wrapping_add_signed(dy * WIDTH as isize + dx)..][..COLUMNS]
+        };
+        let (own, [left, right], [above, below]) = (at(0, 0), [at(-1, 0), at(1, 0)], [at(0, -1), at(0, 1)]);
+        let near = [at(-1, -1), at(1, -1), at(-1, 1), at(1, 1)];
+        let far = [at(-3, -1), at(3, -1), at(-3, 1), at(3, 1), at(-1, -3), at(1, -3), at(-1, 3), at(1, 3)];
+        let (mosaic, sign) = (&self.mosaic[..COLUMNS], &self.sign[..COLUMNS]);
+        for x in 0..COLUMNS {
+            let green = mosaic[x] + own[x];
+            // The filter of the paper, equation 10.
+            let near = near[0][x] + near[1][x] + near[2][x] + near[3][x];
+            let [a, b, c, d, e, f, g, h] = far;
+            let far = a[x] + b[x] + c[x] + d[x] + e[x] + f[x] + g[x] + h[x];
+            let across = green - (10.0 * near - far) * (1.0 / 32.0);
+            let is_green = sign[x] > 0.0;
+            let same = if is_green { green - 0.5 * (left[x] + right[x]) } else { mosaic[x] };
+            let opposite = if is_green { green - 0.5 * (above[x] + below[x]) } else { across };
+            self.green[x] = at_most(green, 1.0);
+            self.same[x] = at_most(same, 1.0);
+            self.opposite[x] = at_most(opposite, 1.0);
         }
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::super::stretch;
-    use super::*;
-
-    /// The mosaic of a scene, whose colours at (x, y) are `scene`.
-    fn mosaic(pattern: &Pattern, size: (usize, usize), scene: impl Fn(usize, usize) -> [f32; 3] + Sync) -> Plane<f32> {
-        Plane::from_rows(size.0, size.1, |y, row| {
-            row.iter_mut().enumerate().for_each(|(x, v)| *v = scene(x, y)[pattern.at(x, y)]);
-        })
-    }
-
-    fn patterns() -> impl Iterator<Item = Pattern> {
-        [[0, 1, 1, 2], [2, 1, 1, 0], [1, 0, 2, 1], [1, 2, 0, 1]].into_iter().map(|p| Pattern::new((2, 2), &p).unwrap())
-    }
-
-    #[test]
-    fn smooth_planes_are_exact_in_all_phases_and_sizes() {
-        let scene = |x: usize, y: usize| {
-            let v = 0.2 + 0.003 * x as f32 + 0.002 * y as f32;
-            [v + 0.1, v, v - 0.1]
-        };
-        for (pattern, size) in patterns().flat_map(|p| [(31, 70), (40, 2), (64, 65)].map(move |size| (p.clone(), size)))
-        {
-            let linear = |x: usize, y: usize| scene(x, y).map(|v: f32| stretch::linear(f64::from(v)) as f32);
-            let found = demosaic(&mosaic(&pattern, size, linear), &pattern, Balance::new([1.0; 3], [1.0; 3]));
-            // The stretched values are planes. At the border, they are mirrored, which bends them: 6 pixels from it, they
-            // are exact but for the rounding of sums of some dozen floats.
-            for (x, y) in (6..size.1.saturating_sub(6)).flat_map(|y| (6..size.0 - 6).map(move |x| (x, y))) {
-                let (found, true_value) = (found.at(x, y), scene(x, y));
-                assert!((0..3).all(|c| (found[c] - true_value[c]).abs() < 1e-5), "{pattern:?} ({x}, {y}): {found:?}");
-            }
-        }
-    }
-
-    #[test]
-    fn edges_have_no_false_colours() {
-        // A grey vertical edge: interpolation across it would give colours.
-        let scene = |x: usize, _: usize| if x < 20 { [0.1; 3] } else { [0.9; 3] };
-        for pattern in patterns() {
-            let found = demosaic(&mosaic(&pattern, (40, 40), scene), &pattern, Balance::new([1.0; 3], [1.0; 3]));
-            for (x, y) in (6..34).flat_map(|y| (6..34).map(move |x| (x, y))) {
-                let [r, g, b] = found.at(x, y);
-                assert!((r - g).abs().max((b - g).abs()) < 0.02, "{pattern:?} ({x}, {y}): {r} {g} {b}");
-            }
-        }
-    }
-
-    #[test]
-    fn white_is_neutral_where_the_first_colour_clips() {
-        let (neutral, clip) = ([0.5, 1.0, 0.7f32], [0.98, 0.95, 1.0f32]);
-        let balance = Balance::new(neutral, clip);
-        let pattern = Pattern::new((2, 2), &[0, 1, 1, 2]).unwrap();
-        // Twice as bright as green can be.
-        let bright = mosaic(&pattern, (30, 30), |_, _| [0, 1, 2].map(|c| (2.0 * neutral[c]).min(clip[c])));
-        let found = demosaic(&bright, &pattern, balance);
-        assert!(found.as_slice().iter().flatten().all(|&v| (v - 1.0).abs() < 1e-5), "{:?}", found.at(9, 9));
-        // Half as bright as green can be.
-        let half = mosaic(&pattern, (30, 30), |_, _| neutral.map(|n| 0.5 * 0.95 * n));
-        let found = demosaic(&half, &pattern, balance);
-        assert!(
-            found.as_slice().iter().flatten().all(|&v| (stretch::linear(f64::from(v)) - 0.475).abs() < 1e-5),
-            "{:?}",
-            found.at(9, 9)
-        );
-    }
-}
+mod tests;

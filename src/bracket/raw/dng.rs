@@ -6,14 +6,14 @@
 use super::colour::CameraColour;
 use super::levels::Levels;
 use super::tags::{self, Tags, tag};
-use super::{Area, Arrangement, Pattern, Reason, Sensor, chunks};
+use super::{Area, Arrangement, Pattern, Reason, Sensor, chunks, opcodes};
 use crate::limits::Limits;
 use std::io::{Cursor, Read, Seek};
 
 /// Memory of a sample: as stored (integer or float) and linear.
 const SAMPLE_BYTES: u64 = 8;
-/// Memory of a pixel: three linear colours, and three encoded ones.
-const PIXEL_BYTES: u64 = 18;
+/// Memory of a pixel: three encoded colours.
+const PIXEL_BYTES: u64 = 6;
 
 /// Reads the file `bytes`. Also returns the memory in bytes needed to develop it, including the bytes of the file.
 ///
@@ -47,8 +47,9 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Sensor, u64), Reaso
     let crop = crop(&mut tags, active)?;
     let levels = Levels::read(&mut tags, samples as usize)?;
     let colour = CameraColour::read(&mut tags)?;
+    let gains = opcodes::read(&mut tags)?;
     let values = chunks::read(bytes, &mut tags)?;
-    Ok((Sensor { values, arrangement, active, crop, levels, colour }, needed))
+    Ok((Sensor { values, arrangement, active, crop, levels, gains, colour }, needed))
 }
 
 /// The width and height of the picture that developers show.

@@ -80,6 +80,11 @@ impl Levels {
         if is_sound { Ok(levels) } else { Err("its black and white levels are damaged; copy the file again".into()) }
     }
 
+    /// Number of samples of a pixel.
+    pub(super) fn samples(&self) -> usize {
+        self.samples
+    }
+
     /// Difference between white and the mean black of sample `c` of a pixel.
     fn range(&self, c: usize) -> f32 {
         let black: Vec<f32> = self.black.iter().copied().skip(c).step_by(self.samples).collect();
@@ -98,31 +103,38 @@ pub(super) fn linear(sensor: &Sensor) -> Result<Plane<f32>, Reason> {
         return Err("its black levels do not fit its size; copy the file again".into());
     }
     let samples = levels.samples;
+    let width = active.width * samples;
     let per: Vec<f32> = (0..samples).map(|c| 1.0 / levels.range(c)).collect();
+    let per: Vec<f32> = per.into_iter().cycle().take(width).collect();
     let (columns, rows) = levels.black_size;
-    let stored = |i: usize, y: usize| match &sensor.values {
-        Values::Integers(plane) => {
-            let value = plane.at(i, y);
-            match levels.linearisation.last() {
-                None => f32::from(value),
-                Some(&last) => levels.linearisation.get(usize::from(value)).copied().unwrap_or(last),
+    // The rows of the pattern that repeats, with the black of the columns.
+    let black_at = |row: usize, i: usize| {
+        let of_column = levels.black_of_columns.get(i / samples).copied().unwrap_or(0.0);
+        levels.black[(row * columns + (i / samples) % columns) * samples + i % samples] + of_column
+    };
+    let black: Vec<Vec<f32>> = (0..rows).map(|row| (0..width).map(|i| black_at(row, i)).collect()).collect();
+    let columns = active.left * samples..active.left * samples + width;
+    let mut values = vec![0.0f32; width * active.height];
+    values.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
+        match &sensor.values {
+            Values::Floats(plane) => row.copy_from_slice(&plane.row(active.top + y)[columns.clone()]),
+            Values::Integers(plane) => {
+                let stored = row.iter_mut().zip(&plane.row(active.top + y)[columns.clone()]);
+                match levels.linearisation.last() {
+                    None => stored.for_each(|(to, &v)| *to = f32::from(v)),
+                    Some(last) => {
+                        stored.for_each(|(to, &v)| *to = *levels.linearisation.get(usize::from(v)).unwrap_or(last))
+                    }
+                }
             }
         }
-        Values::Floats(plane) => plane.at(i, y),
-    };
-    let mut values = vec![0.0f32; active.width * active.height * samples];
-    values.par_chunks_mut(active.width * samples).enumerate().for_each(|(y, row)| {
         let of_row = levels.black_of_rows.get(y).copied().unwrap_or(0.0);
-        let black = &levels.black[(y % rows) * columns * samples..][..columns * samples];
-        for (i, value) in row.iter_mut().enumerate() {
-            let (x, c) = (i / samples, i % samples);
-            let of_column = levels.black_of_columns.get(x).copied().unwrap_or(0.0);
-            let black = black[(x % columns) * samples + c] + of_row + of_column;
-            let v = (stored(active.left * samples + i, active.top + y) - black) * per[c];
+        for ((value, black), per) in row.iter_mut().zip(&black[y % rows]).zip(&per) {
+            let v = (*value - (black + of_row)) * per;
             *value = if v.is_finite() { v } else { 0.0 };
         }
     });
-    Ok(Plane::from_vec(active.width * samples, active.height, values))
+    Ok(Plane::from_vec(width, active.height, values))
 }
 
 /// The linear value from which each colour is clipped: where the values of the colour pile up near white, or else

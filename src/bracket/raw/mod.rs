@@ -8,7 +8,7 @@
 //! of 8 bits: in linear ones, dark parts have no detail.
 //!
 //! 1. `dng`: the [`Sensor`]: sample values as stored (`chunks`), and what the file says about them (`tags`).
-//! 2. `levels`: linear values, 0 for black and 1 for white.
+//! 2. `levels`: linear values, 0 for black and 1 for white; `opcodes` brightens what the lens has darkened.
 //! 3. `colour`: white balance, and the meaning of the colours; values are put on the scale of `stretch`.
 //! 4. `demosaic`: three colours for each pixel.
 
@@ -18,6 +18,7 @@ mod demosaic;
 mod dng;
 mod levels;
 mod lossless_jpeg;
+mod opcodes;
 mod pattern;
 mod stretch;
 mod tags;
@@ -29,6 +30,7 @@ use crate::simd::{at_least, at_most};
 use colour::{Balance, CameraColour};
 pub(super) use dng::size;
 use levels::Levels;
+use opcodes::Gain;
 use pattern::Pattern;
 
 /// Why a file was rejected.
@@ -69,6 +71,8 @@ struct Sensor {
     /// The part of the active area that developers show.
     crop: Area,
     levels: Levels,
+    /// Corrections of the brightness.
+    gains: Vec<Gain>,
     colour: CameraColour,
 }
 
@@ -92,16 +96,20 @@ pub(super) struct Developed {
 /// The reason, if the file is damaged or of a kind that is not supported.
 pub(super) fn develop(bytes: &[u8], limits: &Limits) -> Result<Developed, Reason> {
     let (sensor, needed) = dng::read(bytes, limits)?;
-    let linear = levels::linear(&sensor)?;
+    let mut linear = levels::linear(&sensor)?;
     let balance = Balance::new(sensor.colour.neutral, levels::clip(&linear, &sensor));
-    let stretched = match &sensor.arrangement {
-        Arrangement::Mosaic(pattern) => demosaic::demosaic(&linear, pattern, balance),
-        Arrangement::Rgb => balance.pixels(&linear),
-    };
+    opcodes::apply(&sensor.gains, &mut linear, sensor.levels.samples());
     let Area { left, top, width, height } = sensor.crop;
-    let rows = (top..top + height).flat_map(|y| &stretched.row(y)[left..left + width]);
-    let encoded = Encoded::new();
-    let samples = rows.flatten().map(|&v| encoded.of(v)).collect();
+    let encoding = Encoded::new();
+    let encoded = |[r, g, b]: [f32; 3]| [encoding.of(r), encoding.of(g), encoding.of(b)];
+    let pixels = match &sensor.arrangement {
+        Arrangement::Mosaic(pattern) => demosaic::demosaic(&linear, pattern, balance, sensor.crop, encoded),
+        Arrangement::Rgb => {
+            let rows = (top..top + height).flat_map(|y| &linear.row(y).as_chunks::<3>().0[left..left + width]);
+            rows.map(|&pixel| encoded(balance.pixel(pixel))).collect()
+        }
+    };
+    let samples = pixels.into_flattened();
     let profile = Profile::of(&sensor.colour.primaries, Curve::Srgb, "camera");
     Ok(Developed { width, height, samples, needed, profile })
 }
@@ -119,6 +127,7 @@ impl Encoded {
     }
 
     /// The encoded value of a stretched one; 0 if it is below black.
+    #[inline(always)]
     fn of(&self, stretched: f32) -> u16 {
         let at = at_most(at_least(stretched, 0.0), 1.0) * Self::STEPS as f32;
         let whole = (at as usize).min(Self::STEPS);

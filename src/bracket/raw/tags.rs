@@ -44,6 +44,8 @@ pub(super) mod tag {
     pub(in crate::bracket::raw) const WHITE_XY: u16 = 50729;
     pub(in crate::bracket::raw) const ILLUMINANTS: [u16; 2] = [50778, 50779];
     pub(in crate::bracket::raw) const ACTIVE_AREA: u16 = 50829;
+    /// The lists 2, for the mosaic, and 3, for the colours.
+    pub(in crate::bracket::raw) const OPCODES: [u16; 2] = [51009, 51022];
 }
 
 /// The values of PhotometricInterpretation of raw data: a mosaic, and linear pixels.
@@ -101,6 +103,11 @@ impl<R: Read + Seek> Tags<R> {
     /// The integers of `tag`; none if there are none.
     pub(super) fn numbers(&mut self, tag: u16) -> Option<Vec<u64>> {
         self.file.numbers(&self.raw, tag).or_else(|| self.file.numbers(self.main.as_ref()?, tag))
+    }
+
+    /// The bytes of `tag` in the directory of the raw data; none if there are none.
+    pub(super) fn bytes(&mut self, tag: u16) -> Option<Vec<u8>> {
+        self.file.opaque(&self.raw, tag)
     }
 
     /// The real numbers of `tag`; none if there are none, or if one is not finite.

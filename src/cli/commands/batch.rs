@@ -164,7 +164,7 @@ struct Places {
     #[arg(long, value_name = "TEMPLATE", default_value = "{folder}/{first}-{last}")]
     name: String,
 
-    /// Set formats: exr, hdr, tif, dng (radiance), png, jpg
+    /// Set formats: exr hdr tif dng (radiance), png jpg
     ///
     /// The given formats replace the default formats. exr, hdr, tif and dng contain the radiance, png and jpg the picture.
     /// For a .tif with the picture give --pictures tif
