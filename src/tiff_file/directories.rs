@@ -113,6 +113,13 @@ impl<R: Read + Seek> Directories<R> {
         Some(bytes.chunks_exact(size as usize).map(|bytes| number(bytes, self.is_little)).collect())
     }
 
+    /// Returns the type and the bytes of the entry `tag`, if it has at most 64 KB.
+    pub(crate) fn value(&mut self, directory: &Directory, tag: u16) -> Option<(u16, Vec<u8>)> {
+        let entry = directory.entry(tag)?;
+        let length = entry.count.checked_mul(size_of_kind(entry.kind)).filter(|&length| length <= 1 << 16)?;
+        Some((entry.kind, self.bytes(entry.value, length as usize)?))
+    }
+
     /// Returns the bytes of the entry `tag`, if it is of bytes.
     pub(crate) fn opaque(&mut self, directory: &Directory, tag: u16) -> Option<Vec<u8>> {
         let entry = directory.entry(tag).filter(|entry| matches!(entry.kind, 1 | 7))?;

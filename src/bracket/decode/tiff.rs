@@ -8,7 +8,7 @@ use super::{Found, Reason, Stored, cmyk_to_rgb, to_rgb};
 use crate::bracket::Samples;
 use crate::bracket::raw::{self, Developed};
 use crate::limits::{self, Limits as Allowed};
-use crate::tiff_file::{self, Picture, refusal};
+use crate::tiff_file::{self, Directories, Picture, refusal};
 use exif::experimental::Writer;
 use exif::{Context, Field, In};
 use std::io::{Cursor, Read, Seek};
@@ -219,27 +219,77 @@ impl Bounded for u16 {
 /// why `decode` would reject this kind of image.
 pub(super) fn head<R: Read + Seek>(mut reader: R, wanted: &[exif::Tag]) -> Result<Found, Reason> {
     let picture = tiff_file::picture(&mut reader)?;
-    let is_dng = picture.is_dng;
-    let developed = is_dng.then(|| raw::size(&mut reader)).transpose()?;
-    let mut refused = if is_dng { None } else { refuse_raw(picture).err() };
+    if picture.is_dng {
+        return head_of_dng(reader, wanted);
+    }
+    let index = picture.index;
+    let refused = refuse_raw(picture).err();
     reader.rewind().map_err(|e| e.to_string())?;
     let mut decoder = Decoder::new(reader).map_err(refusal)?;
-    // What holds for a whole DNG file is in its first directory.
-    let index = if is_dng { 0 } else { picture.index };
     let first = decoder.ifd_pointer().filter(|_| index > 0);
     decoder.seek_to_image(index).map_err(refusal)?;
     let (width, height) = decoder.dimensions().map_err(refusal)?;
     let depths = decoder.find_tag_unsigned_vec::<u16>(Tag::BitsPerSample).ok().flatten().unwrap_or_default();
     let photometric = decoder.find_tag_unsigned::<u16>(Tag::PhotometricInterpretation).ok().flatten();
-    if !is_dng {
-        refused = refused.or(Kind::of(&mut decoder, photometric).err());
-    }
-    let depth = if is_dng { 16 } else { depths.first().map_or(8, |&bits| bits.clamp(8, 64) as u8) };
-    let (width, height) = developed.unwrap_or((width as usize, height as usize));
+    let refused = refused.or(Kind::of(&mut decoder, photometric).err());
+    let depth = depths.first().map_or(8, |&bits| bits.clamp(8, 64) as u8);
+    let (width, height) = (width as usize, height as usize);
     // This tag is also read from a BigTIFF, whose EXIF is not read.
     let software = decoder.get_tag_ascii_string(Tag::Software).ok();
     let exif = if is_big(&mut decoder) { None } else { fields(&mut decoder, first, wanted) };
     Ok(Found { width, height, depth, exif, software, refused })
+}
+
+/// The same for a DNG file, whose mosaic the decoder of other TIFF files rejects. What holds for the whole file is in its
+/// first directory.
+fn head_of_dng<R: Read + Seek>(mut reader: R, wanted: &[exif::Tag]) -> Result<Found, Reason> {
+    let (width, height) = raw::size(&mut reader)?;
+    let damaged = || "its list of tags is damaged; copy the file again".to_owned();
+    let mut file = Directories::of(reader).ok_or_else(damaged)?;
+    let main = file.pictures().into_iter().next().ok_or_else(damaged)?;
+    let below = file.first_number(&main, exif::Tag::ExifIFDPointer.number()).and_then(|at| file.directory(at));
+    let mut fields = Vec::new();
+    for &tag in wanted {
+        let below = below.as_ref().filter(|_| tag.context() == Context::Exif);
+        let found = below.into_iter().chain([&main]).find_map(|directory| {
+            let (kind, bytes) = file.value(directory, tag.number())?;
+            stored_value(kind, &bytes, file.is_little)
+        });
+        fields.extend(found.map(|value| Field { tag, ifd_num: In::PRIMARY, value }));
+    }
+    let software = file.value(&main, exif::Tag::Software.number()).map(|(_, bytes)| text(&bytes));
+    Ok(Found { width, height, depth: 16, exif: written(&fields), software, refused: None })
+}
+
+/// The text of an entry, without the zeros at its end.
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).trim_end_matches('\0').to_owned()
+}
+
+/// Converts the first value of an entry of this type; `None` for types that no wanted tag has.
+fn stored_value(kind: u16, bytes: &[u8], is_little: bool) -> Option<exif::Value> {
+    let long = |at: usize| {
+        let bytes = bytes.get(at..at + 4)?.try_into().ok()?;
+        Some(if is_little { u32::from_le_bytes(bytes) } else { u32::from_be_bytes(bytes) })
+    };
+    let short = || {
+        let bytes = bytes.get(..2)?.try_into().ok()?;
+        Some(if is_little { u16::from_le_bytes(bytes) } else { u16::from_be_bytes(bytes) })
+    };
+    Some(match kind {
+        1 => exif::Value::Byte(vec![*bytes.first()?]),
+        2 => exif::Value::Ascii(vec![text(bytes).into_bytes()]),
+        3 => exif::Value::Short(vec![short()?]),
+        4 => exif::Value::Long(vec![long(0)?]),
+        5 => exif::Value::Rational(vec![exif::Rational { num: long(0)?, denom: long(4)? }]),
+        8 => exif::Value::SShort(vec![short()?.cast_signed()]),
+        9 => exif::Value::SLong(vec![long(0)?.cast_signed()]),
+        10 => {
+            let (num, denom) = (long(0)?.cast_signed(), long(4)?.cast_signed());
+            exif::Value::SRational(vec![exif::SRational { num, denom }])
+        }
+        _ => return None,
+    })
 }
 
 /// Whether the file is a BigTIFF. `decode` does not read the EXIF of a BigTIFF either, because kamadak-exif cannot.
@@ -279,6 +329,11 @@ fn fields<R: Read + Seek>(
             fields.push(Field { tag, ifd_num: In::PRIMARY, value });
         }
     }
+    written(&fields)
+}
+
+/// The TIFF block of `fields`.
+fn written(fields: &[Field]) -> Option<Vec<u8>> {
     let mut writer = Writer::new();
     fields.iter().for_each(|field| writer.push_field(field));
     let mut block = Cursor::new(Vec::new());

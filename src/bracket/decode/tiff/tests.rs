@@ -1,8 +1,11 @@
 //! TIFFs of every kind of colour, written entry by entry.
 
 use super::super::tests::{eight, read};
+use super::head;
 use crate::bracket::Samples;
 use crate::tiff_file::tests::{DATA, Entries, file, rgb, with};
+use exif::In;
+use std::io::Cursor;
 
 /// Returns the entries of an uncompressed picture with `samples` samples per pixel of `depth` bits each, and the given
 /// photometric interpretation.
@@ -100,4 +103,35 @@ fn tiff_of_unsupported_kinds_is_named_and_not_called_damaged() {
     assert!(refused(of_kind((4, 4), 3, 8, 8)).contains("L*a*b*"));
     assert!(refused(of_kind((2, 2), 1, 12, 1)).contains("12 bit"));
     assert!(refused(with(of_kind((2, 2), 3, 8, 2), (259, 3, vec![50000]))).contains("compression"));
+}
+
+#[test]
+fn head_of_a_dng_has_its_exposure_without_decoding() {
+    let mut entries: Entries = vec![
+        (254, 4, vec![0]),
+        (256, 4, vec![60]),
+        (257, 4, vec![40]),
+        (258, 3, vec![16]),
+        (259, 3, vec![1]),
+        (262, 3, vec![32803]),
+        (273, 4, vec![DATA]),
+        (277, 3, vec![1]),
+        (279, 4, vec![4800]),
+        (305, 2, b"camera\0".map(u32::from).to_vec()),
+        (33421, 3, vec![2, 2]),
+        (33422, 1, vec![0, 1, 1, 2]),
+        (33434, 5, vec![1, 60]),
+        (34855, 3, vec![200]),
+        (50706, 1, vec![1, 4, 0, 0]),
+        (50719, 4, vec![4, 2]),
+        (50720, 4, vec![50, 30]),
+    ];
+    entries.sort();
+    let wanted = [exif::Tag::ExposureTime, exif::Tag::PhotographicSensitivity, exif::Tag::FNumber];
+    let found = head(Cursor::new(file(&[], &[entries])), &wanted).unwrap();
+    assert_eq!((found.width, found.height, found.depth, found.refused), (50, 30, 16, None));
+    assert_eq!(found.software.as_deref(), Some("camera"));
+    let exif = exif::Reader::new().read_raw(found.exif.unwrap()).unwrap();
+    let shown = |tag| exif.get_field(tag, In::PRIMARY).map(|field| field.display_value().to_string());
+    assert_eq!(wanted.map(shown), [Some("1/60".into()), Some("200".into()), None]);
 }
