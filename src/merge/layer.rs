@@ -321,7 +321,11 @@ pub(super) fn layers<'a>(
         };
         Ok((frame, motion, frame.exposure.relative() / reference, noise, (fill(i), i == bracket.reference_index())))
     };
-    let placed = alignment.placed(bracket).map(seen).collect::<Result<Vec<_>>>()?;
+    let mut placed = alignment.placed(bracket).map(seen).collect::<Result<Vec<_>>>()?;
+    if bracket.reference().is_raw {
+        let all: Vec<Noise> = placed.iter().map(|(.., noise, _)| noise.clone()).collect();
+        placed.iter_mut().for_each(|(.., noise, _)| noise.raise(all.iter()));
+    }
     let most = placed.last().map_or(1.0, |(_, _, time, noise, _)| weight.middle_weight(curve, *time, noise));
     let placed = placed.into_iter();
     let layer = |(frame, motion, time, noise, (fill, is_reference))| Layer {

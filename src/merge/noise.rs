@@ -34,8 +34,6 @@ const LEAST: f64 = 1.0;
 /// frame that is displaced and interpolated.
 const ERROR: (f64, f64) = (0.02, 0.05);
 
-/// Width of the range above black in which the weight of photographs rises from 0, in code values.
-const FADE: f64 = 8.0;
 /// Relative error for camera raw, whose response is known.
 const RAW_ERROR: (f64, f64) = (0.002, 0.01);
 
@@ -46,15 +44,12 @@ pub(super) struct Noise {
     steps: [[f64; STEPS]; 3],
     /// Relative standard deviation of the radiance, the same at any code value: one of [`ERROR`], or [`RAW_ERROR`].
     error: f64,
-    /// Width of the range of code values above black in which code values are less certain than their variance says:
-    /// [`FADE`], or 0 for camera raw.
-    fade: f64,
 }
 
 impl Noise {
     /// Returns the noise of a frame with [`LEAST`] at every code value.
     pub(super) fn least() -> Self {
-        Noise { steps: [[LEAST * LEAST; STEPS]; 3], error: ERROR.0, fade: FADE }
+        Noise { steps: [[LEAST * LEAST; STEPS]; 3], error: ERROR.0 }
     }
 
     /// Measures the noise of `frame`; `moved` is true if the frame is interpolated.
@@ -63,9 +58,9 @@ impl Noise {
     /// [`Error::Scratch`](crate::error::Error::Scratch) if the frame is on disk and cannot be read.
     pub(super) fn of(frame: &Frame, moved: bool) -> Result<Self> {
         let (noise, (still, interpolated)) = if frame.is_raw {
-            (Noise { fade: 0.0, ..Noise::of_fine(frame)? }, RAW_ERROR)
+            (Noise::of_fine(frame)?, RAW_ERROR)
         } else {
-            (Noise { steps: shown(frame, LEAST)?, error: 0.0, fade: FADE }, ERROR)
+            (Noise { steps: shown(frame, LEAST)?, error: ERROR.0 }, ERROR)
         };
         Ok(Noise { error: if moved { interpolated } else { still }, ..noise })
     }
@@ -76,7 +71,17 @@ impl Noise {
     /// # Errors
     /// Those of [`of`](Self::of).
     pub(super) fn of_fine(frame: &Frame) -> Result<Self> {
-        Ok(Noise { steps: shown(frame, LEAST / 257.0)?, error: ERROR.0, fade: FADE })
+        Ok(Noise { steps: shown(frame, LEAST / 257.0)?, error: ERROR.0 })
+    }
+
+    /// Raises the variances to the largest of all `noises`. Frames of one sensor have the same noise at the same code
+    /// value, but a dark frame shows it at few code values, and clips part of it at black.
+    pub(super) fn raise<'a>(&mut self, noises: impl Iterator<Item = &'a Noise>) {
+        for noise in noises {
+            for (variance, other) in self.steps.iter_mut().flatten().zip(noise.steps.iter().flatten()) {
+                *variance = variance.max(*other);
+            }
+        }
     }
 
     /// Returns the standard deviation at `code`, which may lie between two code values.
@@ -91,12 +96,6 @@ impl Noise {
         let slope = f64::from(x[to] - x[from]) / (to - from) as f64;
         let error = self.error * f64::from(x[code]);
         self.code_variance(channel, code as f64) * slope * slope + error * error
-    }
-
-    /// Returns the factor on the weight of a code value that is so far above black: it rises from 0 to 1, because
-    /// clipping at black changes the code values, and the variance does not show that.
-    pub(super) fn fade(&self, above: f64) -> f64 {
-        if self.fade > 0.0 { (above / self.fade).clamp(0.0, 1.0) } else { 1.0 }
     }
 
     /// Returns the variance of a code value, interpolated between the steps.

@@ -14,9 +14,10 @@
 use super::noise::Noise;
 use crate::response::{CODES, MID, ResponseCurve, hat};
 
-/// Width of the range of code values below white in which [`Weight::Noise`] falls to 0. There clipping changes the code
-/// values, and the variance does not show that. Near black, it is the same: see [`Noise::fade`].
-const FADE: f64 = 40.0;
+/// Widths of two ranges of code values, one above black and one below white. [`Weight::Noise`] rises from 0 in the
+/// first range, and falls to 0 in the second. In both ranges clipping changes the code values, and the variance does
+/// not show that.
+const FADES: (f64, f64) = (8.0, 40.0);
 /// The slope of a response at a code value is computed from the responses this many code values below and above it.
 const REACH: usize = 4;
 
@@ -65,7 +66,7 @@ impl Weight {
                 let steepest = (least + 1..CODES - 1).map(|z| certainty(g, least, z)).fold(f64::MIN_POSITIVE, f64::max);
                 certainty(g, least, code) / steepest
             }
-            Weight::Noise => ((255.0 - code as f64) / FADE).clamp(0.0, 1.0),
+            Weight::Noise => (above / FADES.0).min((255.0 - code as f64) / FADES.1).clamp(0.0, 1.0),
         }
     }
 
@@ -80,10 +81,7 @@ impl Weight {
         std::array::from_fn(|code| {
             let factor = match self {
                 Weight::Uniform => 1.0,
-                Weight::Noise => {
-                    let fade = noise.fade(code as f64 - black);
-                    if fade > 0.0 { fade * within(time * time / noise.variance(curve, channel, code)) } else { 0.0 }
-                }
+                Weight::Noise => within(time * time / noise.variance(curve, channel, code)),
                 _ => time.sqrt(),
             };
             (self.at(code, g, black) * factor) as f32

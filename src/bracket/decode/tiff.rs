@@ -240,8 +240,8 @@ pub(super) fn head<R: Read + Seek>(mut reader: R, wanted: &[exif::Tag]) -> Resul
     Ok(Found { width, height, depth, exif, software, refused })
 }
 
-/// The same for a DNG file, whose mosaic the decoder of other TIFF files rejects. What holds for the whole file is in its
-/// first directory.
+/// The same for a DNG file, whose mosaic the decoder of other TIFF files rejects. What holds for the whole file is in
+/// its first directory.
 fn head_of_dng<R: Read + Seek>(mut reader: R, wanted: &[exif::Tag]) -> Result<Found, Reason> {
     let (width, height) = raw::size(&mut reader)?;
     let damaged = || "its list of tags is damaged; copy the file again".to_owned();

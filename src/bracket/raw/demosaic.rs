@@ -13,8 +13,8 @@
 //! in its shadow.
 //!
 //! A tile and all its intermediate values fit into the L2 cache. In a tile, a step of 1 goes to the next column and a
-//! step of [`WIDTH`] to the next row. All loops run over whole tiles; values in the border of a tile are wrong, the more
-//! the later they are computed, and are not used.
+//! step of [`WIDTH`] to the next row. All loops run over whole tiles; values in the border of a tile are wrong, the
+//! more the later they are computed, and are not used.
 
 use super::colour::Balance;
 use super::pattern::Pattern;

@@ -224,7 +224,8 @@ mod tests {
         let mut linear = Plane::filled(8, 4, 1.0f32);
         apply(&gains, &mut linear, 1);
         for (x, y) in (0..4).flat_map(|y| (0..8).map(move |x| (x, y))) {
-            // From left to right the factors rise by 1 for each half of the width, from top to bottom by 2 for the height.
+            // From left to right the factors rise by 1 for each half of the width, from top to bottom by 2 for the
+            // height.
             let gain = 1.0 + 2.0 * (x as f32 + 0.5) / 8.0 + 2.0 * (y as f32 + 0.5) / 4.0;
             let expected = if y % 2 == 1 && x % 2 == 0 { gain } else { 1.0 };
             assert!((linear.at(x, y) - expected).abs() < 1e-5, "({x}, {y}): {} instead of {expected}", linear.at(x, y));

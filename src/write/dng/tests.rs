@@ -60,8 +60,8 @@ fn files_are_read_as_camera_raw_in_any_encoding() {
         for (found, pixel) in codes.as_chunks::<3>().0.iter().zip(radiance().as_slice()) {
             for c in 0..3 {
                 let (found, expected) = (srgb_to_linear(f64::from(found[c]) / 65535.0), f64::from(pixel[c]) / 40.0);
-                // A half float has an error of up to 2^-11 of its value, an integer one of 0.5 / 65535. The codes of 16 bits
-                // in the sRGB curve have an error of up to 1e-5, and reading one of 2e-6 of white.
+                // A half float has an error of up to 2^-11 of its value, an integer one of 0.5 / 65535. The codes of 16
+                // bits in the sRGB curve have an error of up to 1e-5, and reading one of 2e-6 of white.
                 assert!((found - expected).abs() < 5e-4 * expected + 2e-5, "{encoding}: {found} instead of {expected}");
             }
         }
