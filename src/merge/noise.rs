@@ -57,12 +57,8 @@ impl Noise {
     /// # Errors
     /// [`Error::Scratch`](crate::error::Error::Scratch) if the frame is on disk and cannot be read.
     pub(super) fn of(frame: &Frame, moved: bool) -> Result<Self> {
-        let (noise, (still, interpolated)) = if frame.is_raw {
-            (Noise::of_fine(frame)?, RAW_ERROR)
-        } else {
-            (Noise { steps: shown(frame, LEAST)?, error: ERROR.0 }, ERROR)
-        };
-        Ok(Noise { error: if moved { interpolated } else { still }, ..noise })
+        let (least, error) = if frame.is_raw { (LEAST / 257.0, RAW_ERROR) } else { (LEAST, ERROR) };
+        Ok(Noise { steps: shown(frame, least)?, error: if moved { error.1 } else { error.0 } })
     }
 
     /// Measures the noise of a 16-bit `frame`. The minimum is [`LEAST`] in units of 16-bit code values, because the

@@ -243,7 +243,7 @@ pub(super) fn head<R: Read + Seek>(mut reader: R, wanted: &[exif::Tag]) -> Resul
 /// The same for a DNG file, whose mosaic the decoder of other TIFF files rejects. What holds for the whole file is in
 /// its first directory.
 fn head_of_dng<R: Read + Seek>(mut reader: R, wanted: &[exif::Tag]) -> Result<Found, Reason> {
-    let (width, height) = raw::size(&mut reader)?;
+    let ((width, height), refused) = raw::head(&mut reader)?;
     let damaged = || "its list of tags is damaged; copy the file again".to_owned();
     let mut file = Directories::of(reader).ok_or_else(damaged)?;
     let main = file.pictures().into_iter().next().ok_or_else(damaged)?;
@@ -258,7 +258,7 @@ fn head_of_dng<R: Read + Seek>(mut reader: R, wanted: &[exif::Tag]) -> Result<Fo
         fields.extend(found.map(|value| Field { tag, ifd_num: In::PRIMARY, value }));
     }
     let software = file.value(&main, exif::Tag::Software.number()).map(|(_, bytes)| text(&bytes));
-    Ok(Found { width, height, depth: 16, exif: written(&fields), software, refused: None })
+    Ok(Found { width, height, depth: 16, exif: written(&fields), software, refused })
 }
 
 /// The text of an entry, without the zeros at its end.

@@ -13,18 +13,26 @@ use rayon::prelude::*;
 use std::io::{Read, Seek};
 use std::ops::Range;
 
-/// How the samples of a file are stored.
+/// How the samples of a file are encoded.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Encoding {
+    /// Samples of a pixel.
+    samples: usize,
+    /// Bits of a sample.
+    bits: usize,
+    are_floats: bool,
+    packing: Packing,
+    predictor: Predictor,
+}
+
+/// How the samples of a file are encoded, and where they are.
 struct Layout {
     /// Size of the picture: samples of a row, and rows.
     size: (usize, usize),
     /// Size of a strip or tile: samples of a row, and rows. Those at the lower edge may have fewer rows in the file.
     chunk: (usize, usize),
     are_tiles: bool,
-    /// Bits of a sample.
-    bits: usize,
-    are_floats: bool,
-    packing: Packing,
-    predictor: Predictor,
+    encoding: Encoding,
     /// Where the bytes of each strip or tile are.
     places: Vec<Range<usize>>,
     is_little: bool,
@@ -55,10 +63,10 @@ pub(super) fn read<R: Read + Seek>(bytes: &[u8], tags: &mut Tags<R>) -> Result<V
     let layout = Layout::read(bytes, tags)?;
     let (width, height) = layout.size;
     let count = width as u64 * height as u64;
-    if layout.packing == Packing::None {
-        limits::check_length(bytes.len(), count * layout.bits as u64 / 8, 1)?;
+    if layout.encoding.packing == Packing::None {
+        limits::check_length(bytes.len(), count * layout.encoding.bits as u64 / 8, 1)?;
     }
-    Ok(if layout.are_floats {
+    Ok(if layout.encoding.are_floats {
         Values::Floats(layout.assemble(bytes, |data, rows| layout.floats(data, rows))?)
     } else {
         Values::Integers(layout.assemble(bytes, |data, rows| layout.integers(data, rows))?)
@@ -69,9 +77,12 @@ fn unsupported(what: &str) -> Reason {
     format!("its raw data has {what}, which is not supported; convert it to a DNG with lossless compression")
 }
 
-impl Layout {
-    fn read<R: Read + Seek>(bytes: &[u8], tags: &mut Tags<R>) -> Result<Self, Reason> {
-        let (width, height) = tags.size()?;
+impl Encoding {
+    /// Reads how samples are encoded.
+    ///
+    /// # Errors
+    /// The reason, if this is not supported.
+    pub(super) fn read<R: Read + Seek>(tags: &mut Tags<R>) -> Result<Self, Reason> {
         let samples = tags.number_or(tag::SAMPLES_PER_PIXEL, 1)? as usize;
         let all_bits = tags.numbers(tag::BITS).unwrap_or_default();
         let bits = all_bits.first().map_or(1, |&bits| bits as usize);
@@ -105,6 +116,14 @@ impl Layout {
         if matches!(predictor, Predictor::Difference(_)) && !matches!(bits, 8 | 16) {
             return Err(unsupported(&format!("differences of {bits} bits")));
         }
+        Ok(Encoding { samples, bits, are_floats, packing, predictor })
+    }
+}
+
+impl Layout {
+    fn read<R: Read + Seek>(bytes: &[u8], tags: &mut Tags<R>) -> Result<Self, Reason> {
+        let encoding = Encoding::read(tags)?;
+        let (width, height) = tags.size()?;
         let are_tiles = tags.numbers(tag::TILES).is_some();
         let ((chunk_width, chunk_height), places) = if are_tiles {
             let size = (tags.number(tag::TILE_WIDTH)? as usize, tags.number(tag::TILE_HEIGHT)? as usize);
@@ -127,13 +146,10 @@ impl Layout {
         let places: Option<Vec<Range<usize>>> = offsets.iter().zip(&lengths).map(place).collect();
         let places = places.ok_or("the file is too short for its raw data (truncated); copy it again")?;
         Ok(Layout {
-            size: (width * samples, height),
-            chunk: (chunk_width * samples, chunk_height),
+            size: (width * encoding.samples, height),
+            chunk: (chunk_width * encoding.samples, chunk_height),
             are_tiles,
-            bits,
-            are_floats,
-            packing,
-            predictor,
+            encoding,
             places,
             is_little: tags.is_little(),
         })
@@ -172,21 +188,21 @@ impl Layout {
 
     /// The bytes of a strip or tile with `rows` rows, decompressed.
     fn unpacked(&self, data: &[u8], rows: usize) -> Result<Vec<u8>, Reason> {
-        let length = (self.chunk.0 * self.bits).div_ceil(8) * rows;
+        let length = (self.chunk.0 * self.encoding.bits).div_ceil(8) * rows;
         let mut bytes = limits::room(length)?;
         let mut reader: Box<dyn Read + '_> =
-            if self.packing == Packing::Deflate { Box::new(ZlibDecoder::new(data)) } else { Box::new(data) };
+            if self.encoding.packing == Packing::Deflate { Box::new(ZlibDecoder::new(data)) } else { Box::new(data) };
         reader.read_exact(&mut bytes).map_err(|_| "its raw data is damaged or truncated; copy the file again")?;
         Ok(bytes)
     }
 
     fn integers(&self, data: &[u8], rows: usize) -> Result<Vec<u16>, Reason> {
         let across = self.chunk.0;
-        if self.packing == Packing::LosslessJpeg {
+        if self.encoding.packing == Packing::LosslessJpeg {
             return Ok(lossless_jpeg::decode(data, across * rows)?.values);
         }
         let bytes = self.unpacked(data, rows)?;
-        let mut values: Vec<u16> = match self.bits {
+        let mut values: Vec<u16> = match self.encoding.bits {
             8 => bytes.iter().map(|&b| u16::from(b)).collect(),
             16 => {
                 let word = |b: &[u8]| if self.is_little { [b[1], b[0]] } else { [b[0], b[1]] };
@@ -200,13 +216,13 @@ impl Layout {
                 values
             }
         };
-        if let Predictor::Difference(stride) = self.predictor {
+        if let Predictor::Difference(stride) = self.encoding.predictor {
             for row in values.chunks_exact_mut(across) {
                 for x in stride..across {
                     row[x] = row[x].wrapping_add(row[x - stride]);
                 }
             }
-            if self.bits == 8 {
+            if self.encoding.bits == 8 {
                 values.iter_mut().for_each(|v| *v &= 255);
             }
         }
@@ -214,11 +230,11 @@ impl Layout {
     }
 
     fn floats(&self, data: &[u8], rows: usize) -> Result<Vec<f32>, Reason> {
-        let (across, size) = (self.chunk.0, self.bits / 8);
+        let (across, size) = (self.chunk.0, self.encoding.bits / 8);
         let mut bytes = self.unpacked(data, rows)?;
         let mut values = limits::reserved(across * rows)?;
         for row in bytes.chunks_exact_mut(across * size) {
-            let Predictor::ByteDifference(stride) = self.predictor else {
+            let Predictor::ByteDifference(stride) = self.encoding.predictor else {
                 let order = |sample: &[u8]| {
                     let add = |sum: u32, b: &u8| sum << 8 | u32::from(*b);
                     if self.is_little { sample.iter().rev().fold(0, add) } else { sample.iter().fold(0, add) }

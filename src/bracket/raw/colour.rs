@@ -151,20 +151,15 @@ impl Balance {
         self.factors[c]
     }
 
-    /// The balanced value from which a colour may be clipped.
-    pub(super) fn top(&self) -> f32 {
-        self.top
-    }
-
-    /// The [stretched](stretch) balanced value of a linear value of colour `c`, at most 1; 1 if it may be clipped.
+    /// The [stretched](stretch) value of a balanced one, at most 1; 1 if it may be clipped.
     #[inline(always)]
-    pub(super) fn stretched(&self, value: f32, c: usize) -> f32 {
-        let v = value * self.factors[c];
-        if v >= self.top { 1.0 } else { at_most(stretch::stretched(v), 1.0) }
+    pub(super) fn stretched(&self, balanced: f32) -> f32 {
+        let stretched = at_most(stretch::stretched(balanced), 1.0);
+        if balanced >= self.top { 1.0 } else { stretched }
     }
 
     /// The [stretched](Self::stretched) values of a pixel with three samples.
     pub(super) fn pixel(&self, linear: [f32; 3]) -> [f32; 3] {
-        [0, 1, 2].map(|c| self.stretched(linear[c], c))
+        [0, 1, 2].map(|c| self.stretched(linear[c] * self.factors[c]))
     }
 }

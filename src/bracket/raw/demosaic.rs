@@ -16,9 +16,9 @@
 //! step of [`WIDTH`] to the next row. All loops run over whole tiles; values in the border of a tile are wrong, the
 //! more the later they are computed, and are not used.
 
+use super::Area;
 use super::colour::Balance;
 use super::pattern::Pattern;
-use super::{Area, stretch};
 use crate::plane::Plane;
 use crate::simd::{Loops, at_most, vectorised};
 use rayon::prelude::*;
@@ -128,7 +128,7 @@ impl Tile {
             let colours = [0, 1].map(|x| pattern.at(column(x), v));
             let signs = colours.map(|colour| if colour == 1 { 1.0 } else { -1.0 });
             sign.as_chunks_mut::<2>().0.fill(signs);
-            vectorised(Stretched { mosaic, factors: colours.map(|colour| balance.factor(colour)), top: balance.top() });
+            vectorised(Stretched { mosaic, factors: colours.map(|colour| balance.factor(colour)), balance });
         }
         for (direction, step) in [1, WIDTH].into_iter().enumerate() {
             vectorised(Direction {
@@ -168,8 +168,7 @@ struct Stretched<'a> {
     mosaic: &'a mut [f32],
     /// Factors of white balance of even and of odd pixels.
     factors: [f32; 2],
-    /// The value from which a colour may be clipped.
-    top: f32,
+    balance: Balance,
 }
 
 impl Loops for Stretched<'_> {
@@ -182,8 +181,7 @@ impl Loops for Stretched<'_> {
             (pair[0], pair[1]) = (pair[0] * even, pair[1] * odd);
         }
         for m in self.mosaic.iter_mut() {
-            let stretched = at_most(stretch::stretched(*m), 1.0);
-            *m = if *m >= self.top { 1.0 } else { stretched };
+            *m = self.balance.stretched(*m);
         }
     }
 }

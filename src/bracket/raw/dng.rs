@@ -3,10 +3,11 @@
 //! In: the bytes of a file. Out: a [`Sensor`]. Cost: decompression, strip by strip or tile by tile, in parallel; one
 //! copy of the samples. Source: DNG, chapters 2 and 4.
 
+use super::chunks::{self, Encoding};
 use super::colour::CameraColour;
 use super::levels::Levels;
 use super::tags::{self, Tags, tag};
-use super::{Area, Arrangement, Pattern, Reason, Sensor, chunks, opcodes};
+use super::{Area, Arrangement, Pattern, Reason, Sensor, opcodes};
 use crate::limits::Limits;
 use std::io::{Cursor, Read, Seek};
 
@@ -27,22 +28,7 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Sensor, u64), Reaso
     let pixels = width as u64 * height as u64;
     let needed = bytes.len() as u64 + pixels * (SAMPLE_BYTES * samples + PIXEL_BYTES);
     limits.check_memory((width, height), needed)?;
-    let photometric = tags.number(tag::PHOTOMETRIC)?;
-    let arrangement = match (photometric, samples) {
-        (tags::MOSAIC, 1) => {
-            let dimensions = tags.numbers(tag::PATTERN_SIZE).unwrap_or_else(|| vec![2, 2]);
-            let colours = tags.numbers(tag::PATTERN).ok_or_else(tags::damaged)?;
-            let [rows, columns] = dimensions[..] else { return Err(tags::damaged()) };
-            Arrangement::Mosaic(Pattern::new((columns as usize, rows as usize), &colours)?)
-        }
-        (tags::LINEAR, 3) => Arrangement::Rgb,
-        (tags::MOSAIC | tags::LINEAR, _) => {
-            return Err(format!(
-                "its raw data has {samples} samples per pixel, which is not supported; develop it to 16-bit TIFF first"
-            ));
-        }
-        _ => return Err("it is a DNG without raw data; save its picture as 16-bit TIFF".into()),
-    };
+    let arrangement = arrangement(&mut tags)?;
     let active = active(&mut tags, (width, height))?;
     let crop = crop(&mut tags, active)?;
     let levels = Levels::read(&mut tags, samples as usize)?;
@@ -52,16 +38,36 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Sensor, u64), Reaso
     Ok((Sensor { values, arrangement, active, crop, levels, gains, colour }, needed))
 }
 
-/// The width and height of the picture that developers show.
+/// The width and height of the picture that developers show, and why [`read`] would reject this kind of file.
 ///
 /// # Errors
 /// The reason, if the tags of the file are damaged.
-pub(in crate::bracket) fn size(reader: impl Read + Seek) -> Result<(usize, usize), Reason> {
+pub(in crate::bracket) fn head(reader: impl Read + Seek) -> Result<((usize, usize), Option<Reason>), Reason> {
     let mut tags = Tags::of(reader).ok_or_else(tags::damaged)?;
     let size = tags.size()?;
     let active = active(&mut tags, size)?;
     let Area { width, height, .. } = crop(&mut tags, active)?;
-    Ok((width, height))
+    let refused = arrangement(&mut tags).err().or_else(|| Encoding::read(&mut tags).err());
+    let refused = refused.or_else(|| CameraColour::read(&mut tags).err());
+    Ok(((width, height), refused))
+}
+
+/// What the samples are.
+fn arrangement<R: Read + Seek>(tags: &mut Tags<R>) -> Result<Arrangement, Reason> {
+    let samples = tags.number_or(tag::SAMPLES_PER_PIXEL, 1)?;
+    match (tags.number(tag::PHOTOMETRIC)?, samples) {
+        (tags::MOSAIC, 1) => {
+            let dimensions = tags.numbers(tag::PATTERN_SIZE).unwrap_or_else(|| vec![2, 2]);
+            let colours = tags.numbers(tag::PATTERN).ok_or_else(tags::damaged)?;
+            let [rows, columns] = dimensions[..] else { return Err(tags::damaged()) };
+            Ok(Arrangement::Mosaic(Pattern::new((columns as usize, rows as usize), &colours)?))
+        }
+        (tags::LINEAR, 3) => Ok(Arrangement::Rgb),
+        (tags::MOSAIC | tags::LINEAR, _) => Err(format!(
+            "its raw data has {samples} samples per pixel, which is not supported; develop it to 16-bit TIFF first"
+        )),
+        _ => Err("it is a DNG without raw data; save its picture as 16-bit TIFF".into()),
+    }
 }
 
 /// The active area; the whole picture where the file has none.

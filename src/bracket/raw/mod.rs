@@ -28,7 +28,7 @@ use crate::limits::Limits;
 use crate::plane::Plane;
 use crate::simd::{at_least, at_most};
 use colour::{Balance, CameraColour};
-pub(super) use dng::size;
+pub(super) use dng::head;
 use levels::Levels;
 use opcodes::Gain;
 use pattern::Pattern;

@@ -61,7 +61,7 @@ pub(super) fn main(
     (linear, is_float): (Directory, bool),
     baseline_stops: f64,
 ) -> Directory {
-    let mut directory = Directory::new(linear.is_big());
+    let mut directory = Directory::new(linear.big);
     directory.long(KIND, &[PREVIEW]);
     directory.long(tag::WIDTH, &[size.0 as u64]);
     directory.long(tag::HEIGHT, &[size.1 as u64]);

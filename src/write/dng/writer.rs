@@ -4,7 +4,6 @@
 
 use super::preview::Preview;
 use super::{Brightness, Encoding, tags};
-use crate::bracket::colour::Profile;
 use crate::error::Result;
 use crate::merge::radiance::photographed::Photographed;
 use crate::pixel::half::half_bits;
@@ -28,7 +27,6 @@ pub(crate) struct Writer {
     preview: Preview,
     metadata: Metadata,
     brightness: Brightness,
-    size: (usize, usize),
 }
 
 /// The largest value of an integer.
@@ -60,7 +58,7 @@ impl Writer {
             tags::linear(directory, size, 1);
         }
         let (bands, preview) = (Bands::new(size), Preview::new(size));
-        Ok(Writer { strips, bands, encoding, preview, metadata: metadata.clone(), brightness, size })
+        Ok(Writer { strips, bands, encoding, preview, metadata: metadata.clone(), brightness })
     }
 }
 
@@ -80,7 +78,8 @@ impl RowWriter<[f32; 3]> for Writer {
     }
 
     fn finish(self: Box<Self>) -> Result<Written> {
-        let Writer { mut strips, bands, encoding, preview, metadata, brightness, size } = *self;
+        let Writer { mut strips, bands, encoding, preview, metadata, brightness } = *self;
+        let size = (bands.width, bands.height);
         bands.complete().map_err(|e| strips.file.error(e))?;
         let baseline = brightness.baseline(Photographed::read(&metadata.comments));
         let white = f64::from(brightness.most) * libm::exp2(-baseline);
@@ -90,7 +89,7 @@ impl RowWriter<[f32; 3]> for Writer {
         let is_float = encoding != Encoding::Integer;
         let mut main = tags::main(&metadata, (preview.size(), at, jpeg.len()), (linear, is_float), baseline);
         // The preview is sRGB, and the linear picture has a matrix, so the file needs no profile.
-        let fields = exif::of_tiff(size, &Metadata { profile: None::<Profile>, ..metadata });
+        let fields = exif::of_tiff(size, &Metadata { profile: None, ..metadata });
         main.photograph(&fields);
         strips.directory = main;
         Written::ended(strips.end()?, Vec::new())

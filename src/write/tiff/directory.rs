@@ -130,11 +130,6 @@ impl Directory {
         self.rational(tag::WHITE_POINT, &white);
     }
 
-    /// Whether the file is a BigTIFF.
-    pub(crate) fn is_big(&self) -> bool {
-        self.big
-    }
-
     /// Adds a directory to which `pointer` points.
     pub(crate) fn other(&mut self, pointer: u16, directory: Directory) {
         self.others.insert(pointer, directory);

@@ -54,7 +54,7 @@ impl Strips {
 
     /// Takes the directory, with the places of the strips; another can be set.
     pub(crate) fn described(&mut self) -> Directory {
-        let empty = Directory::new(self.directory.is_big());
+        let empty = Directory::new(self.directory.big);
         let mut directory = std::mem::replace(&mut self.directory, empty);
         let (offsets, counts): (Vec<u64>, Vec<u64>) = std::mem::take(&mut self.strips).into_iter().unzip();
         if !offsets.is_empty() {

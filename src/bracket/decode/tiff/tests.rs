@@ -125,13 +125,22 @@ fn head_of_a_dng_has_its_exposure_without_decoding() {
         (50706, 1, vec![1, 4, 0, 0]),
         (50719, 4, vec![4, 2]),
         (50720, 4, vec![50, 30]),
+        // From XYZ to linear sRGB (IEC 61966-2-1).
+        (
+            50721,
+            11,
+            [3.2406f32, -1.5372, -0.4986, -0.9689, 1.8758, 0.0415, 0.0557, -0.2040, 1.0570].map(f32::to_bits).to_vec(),
+        ),
     ];
     entries.sort();
     let wanted = [exif::Tag::ExposureTime, exif::Tag::PhotographicSensitivity, exif::Tag::FNumber];
-    let found = head(Cursor::new(file(&[], &[entries])), &wanted).unwrap();
+    let found = head(Cursor::new(file(&[], &[entries.clone()])), &wanted).unwrap();
     assert_eq!((found.width, found.height, found.depth, found.refused), (50, 30, 16, None));
     assert_eq!(found.software.as_deref(), Some("camera"));
     let exif = exif::Reader::new().read_raw(found.exif.unwrap()).unwrap();
     let shown = |tag| exif.get_field(tag, In::PRIMARY).map(|field| field.display_value().to_string());
     assert_eq!(wanted.map(shown), [Some("1/60".into()), Some("200".into()), None]);
+    // Lossy compression is not supported.
+    let lossy = head(Cursor::new(file(&[], &[with(entries, (259, 3, vec![34892]))])), &wanted).unwrap();
+    assert!(lossy.refused.is_some_and(|reason| reason.contains("lossy compression")));
 }

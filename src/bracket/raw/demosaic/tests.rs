@@ -1,5 +1,6 @@
 use super::*;
 use crate::bracket::raw::lossless_jpeg::tests::uniform;
+use crate::bracket::raw::stretch;
 
 /// Length of the averages of differences, including the pixel itself.
 const LENGTH: usize = 5;
@@ -33,7 +34,7 @@ impl<'a> Band<'a> {
             let row = linear.row(v);
             mosaic.extend((0..width).map(|x| {
                 let u = mirrored(x as isize - BORDER as isize, linear.width());
-                balance.stretched(row[u], pattern.at(u, v))
+                balance.stretched(row[u] * balance.factor(pattern.at(u, v)))
             }));
         }
         Band { pattern, first, rows, width, height, mosaic }
