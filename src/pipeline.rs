@@ -59,7 +59,8 @@ pub struct Options {
     pub response: ResponseModel,
     /// File of a saved response; overrides [`response`](Self::response).
     pub response_file: Option<PathBuf>,
-    /// Weighting function; `None` for that which suits the frames, see [`weight_for`](Self::weight_for).
+    /// Weighting function; `None` for that which suits the frames: [`Weight::Noise`] for camera raw, else
+    /// [`Weight::Hat`].
     pub weight: Option<Weight>,
     /// Deghosting, and its strength.
     pub deghost: Deghost,
