@@ -259,6 +259,11 @@ impl Layer<'_> {
         self.frame.window(rows_under(&self.motion, &wide(columns, size.0), &wide(rows, size.1)))
     }
 
+    /// Whether the frame has the pixels of the reference, without resampling.
+    pub fn is_still(&self) -> bool {
+        self.motion.is_identity()
+    }
+
     /// Changes the weights for a locally processed bracket. Every frame gets the same weights, because a phone
     /// amplifies the noise of what it brightens. And all channels of a pixel get the same weight, because the phone
     /// changed them together.

@@ -21,7 +21,7 @@ const LEAST: f32 = 1e-6;
 /// second on, it is clipped if a shorter frame shows more radiance than this frame can hold. JPEG lowers a clipped
 /// channel by some code values, and one channel of a saturated colour by many, but never all three by many. So if the
 /// brightest channel is far below white, the frame is not clipped but shows another object, which moved.
-const MAY_CLIP: (f32, f32) = (205.0, 235.0);
+pub(super) const MAY_CLIP: (f32, f32) = (205.0, 235.0);
 
 /// A value for each channel and pixel of a row.
 pub(super) type Channels = [[f32; COLUMNS]; 3];

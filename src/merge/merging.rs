@@ -4,6 +4,7 @@
 //! In: a bracket, its alignment, the response, and the motion masks. Out: [`Slab`]s of radiance, which together are the
 //! [`RadianceMap`]. Cost and equation are at the head of [`merge`](super).
 
+use super::allowed::Allowed;
 use super::deghost::Ghosts;
 use super::fill::{FilledRow, Filling};
 use super::layer::{COLUMNS, Fill, Layer, ROWS, Taken, Tile, layers};
@@ -29,6 +30,8 @@ pub struct Merging<'a> {
     /// Index in the bracket of the frame of each layer.
     pub(super) frames: Vec<usize>,
     ghosts: Option<&'a Ghosts>,
+    /// What the reference allows, if ghosts are removed.
+    allowed: Option<Allowed>,
     local: Option<&'a LocalGain>,
 }
 
@@ -80,9 +83,19 @@ impl<'a> Merging<'a> {
             });
         }
         let frames: Vec<usize> = alignment.placed(bracket).map(|(i, _, _)| i).collect();
-        let merging = Merging { bracket, region, layers, frames, ghosts, local: None };
-        ghosts.map_or(Ok(()), |ghosts| ghosts.check(region, &merging.paths()))?;
-        Ok(merging)
+        let merging = Merging { bracket, region, layers, frames, ghosts, allowed: None, local: None };
+        let Some(ghosts) = ghosts else { return Ok(merging) };
+        ghosts.check(region, &merging.paths())?;
+        // If nothing moved, neither the camera nor the scene, the mean is better than the reference alone.
+        let is_still = |(i, layer): (usize, &Layer)| layer.is_still() && ghosts.is_whole(i);
+        let reference = merging.frames.iter().position(|&i| i == bracket.reference_index());
+        let allowed = match reference {
+            Some(i) if !merging.layers.iter().enumerate().all(is_still) => {
+                Some(Allowed::measure(&merging, i, curve, ghosts.tolerance())?)
+            }
+            _ => None,
+        };
+        Ok(Merging { allowed, ..merging })
     }
 
     /// Adds the gains of locally processed frames; the gains must be of the same region and alignment.
@@ -93,6 +106,8 @@ impl<'a> Merging<'a> {
         local.map_or(Ok(()), |local| local.check(self.region, &self.paths()))?;
         let mut merging = Merging { local, ..self };
         if local.is_some() {
+            // The reference is locally processed too, so its code values stand for other radiances.
+            merging.allowed = None;
             merging.layers.iter_mut().for_each(Layer::weigh_as_local);
         }
         Ok(merging)
@@ -196,7 +211,8 @@ impl<'a> Merging<'a> {
                         let taken: Vec<Taken> =
                             kept.iter().zip(&gain).map(|(kept, gain)| Taken::part(kept, gain, part.clone())).collect();
                         let line = &mut line[columns.clone()];
-                        vectorised(MergedRow { layers: &self.layers, tiles, taken: &taken, y, means, line });
+                        let (allowed, layers) = (self.allowed.as_ref(), &self.layers);
+                        vectorised(MergedRow { allowed, layers, tiles, taken: &taken, y, means, line });
                         if let Some(filling) = filling {
                             for &fill in &fills {
                                 let (layers, taken, known) = (&self.layers, &taken[..], &mut *means);

@@ -43,6 +43,7 @@
 //! range of any bracket fits into half floats (6e-8 to 65504). To compare brackets of different exposures, divide the
 //! radiance by [`Merged::reference_exposure`], or normalise it (`radiance::normalisation`).
 
+mod allowed;
 pub mod deghost;
 mod fill;
 mod layer;

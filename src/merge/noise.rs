@@ -21,12 +21,16 @@ const BLOCK: usize = 8;
 /// Largest number of blocks that are read from a frame.
 const READ: usize = 16_384;
 /// Number of steps of brightness that the code values are divided into.
-const STEPS: usize = 16;
+pub(super) const STEPS: usize = 16;
 /// Smallest number of blocks for an estimate of the noise of a brightness step. In steps with fewer blocks, the noise
 /// is interpolated.
 const FEWEST: usize = 12;
 /// Quantile of the variances of the blocks of a step that is used as the variance of the noise.
 const QUANTILE: f64 = 0.25;
+
+/// A positive value for each step of brightness.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct BySteps([f64; STEPS]);
 /// Smallest standard deviation of a code value. Rounding to integers alone gives 0.29; most of the rest is from the
 /// rounding of JPEG coefficients.
 const LEAST: f64 = 1.0;
@@ -41,7 +45,7 @@ const RAW_ERROR: (f64, f64) = (0.002, 0.01);
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Noise {
     /// Variance of the code value in the middle of each step of brightness, for R, G and B.
-    steps: [[f64; STEPS]; 3],
+    steps: [BySteps; 3],
     /// Relative standard deviation of the radiance, the same at any code value: one of [`ERROR`], or [`RAW_ERROR`].
     error: f64,
 }
@@ -49,7 +53,7 @@ pub(super) struct Noise {
 impl Noise {
     /// Returns the noise of a frame with [`LEAST`] at every code value.
     pub(super) fn least() -> Self {
-        Noise { steps: [[LEAST * LEAST; STEPS]; 3], error: ERROR.0 }
+        Noise { steps: [(); 3].map(|_| BySteps([LEAST * LEAST; STEPS])), error: ERROR.0 }
     }
 
     /// Measures the noise of `frame`; `moved` is true if the frame is interpolated.
@@ -74,8 +78,8 @@ impl Noise {
     /// value, but a dark frame shows it at few code values, and clips part of it at black.
     pub(super) fn raise<'a>(&mut self, noises: impl Iterator<Item = &'a Noise>) {
         for noise in noises {
-            for (variance, other) in self.steps.iter_mut().flatten().zip(noise.steps.iter().flatten()) {
-                *variance = variance.max(*other);
+            for (steps, others) in self.steps.iter_mut().zip(&noise.steps) {
+                steps.0.iter_mut().zip(others.0).for_each(|(variance, other)| *variance = variance.max(other));
             }
         }
     }
@@ -96,15 +100,46 @@ impl Noise {
 
     /// Returns the variance of a code value, interpolated between the steps.
     fn code_variance(&self, channel: usize, code: f64) -> f64 {
-        let steps = &self.steps[channel];
+        self.steps[channel].at(code)
+    }
+}
+
+impl BySteps {
+    /// The step of a code value, 0..=255.
+    pub(super) fn step(code: f64) -> usize {
+        ((code * STEPS as f64 / CODES as f64) as usize).min(STEPS - 1)
+    }
+
+    /// Returns, for each step, the `quantile` of the values `seen` in it, but at least `least`. Steps with too few values
+    /// are interpolated between their neighbours.
+    pub(super) fn quantile(seen: [Vec<f64>; STEPS], quantile: f64, least: f64) -> Self {
+        let seen = seen.into_iter().enumerate().filter(|(_, values)| values.len() >= FEWEST);
+        let of = |values: Vec<f64>| {
+            let rank = (values.len() as f64 * quantile) as usize;
+            of_rank(values, rank)
+        };
+        let known: Vec<(usize, f64)> = seen.filter_map(|(step, values)| Some((step, of(values)?.max(least)))).collect();
+        BySteps(std::array::from_fn(|step| {
+            let above = known.iter().find(|(s, _)| *s >= step);
+            let below = known.iter().rev().find(|(s, _)| *s <= step);
+            match (below, above) {
+                (Some((s, v)), Some((t, u))) if t > s => v + (u - v) * (step - s) as f64 / (t - s) as f64,
+                (Some((_, v)), _) | (None, Some((_, v))) => *v,
+                (None, None) => least,
+            }
+        }))
+    }
+
+    /// Returns the value at a code value, interpolated between the middles of the steps.
+    pub(super) fn at(&self, code: f64) -> f64 {
         let at = (code * STEPS as f64 / CODES as f64 - 0.5).clamp(0.0, (STEPS - 1) as f64);
         let below = (at as usize).min(STEPS - 2);
-        steps[below] + (at - below as f64) * (steps[below + 1] - steps[below])
+        self.0[below] + (at - below as f64) * (self.0[below + 1] - self.0[below])
     }
 }
 
 /// Measures the variance of the code values of `frame`. `least` is the lower limit of the standard deviation.
-fn shown(frame: &Frame, least: f64) -> Result<[[f64; STEPS]; 3]> {
+fn shown(frame: &Frame, least: f64) -> Result<[BySteps; 3]> {
     Ok(match frame.whole()?.codes() {
         Codes::Eight(codes) => measure(codes, frame.width(), 1.0, least),
         Codes::Sixteen(codes) => measure(codes, frame.width(), 257.0, least),
@@ -113,7 +148,7 @@ fn shown(frame: &Frame, least: f64) -> Result<[[f64; STEPS]; 3]> {
 
 /// Returns the variance of `codes` by channel and step of brightness, on the scale 0..=255: the code values are divided
 /// by `scale`. The standard deviation is at least `least`.
-fn measure<T: Copy + Into<f64>>(codes: &[T], width: usize, scale: f64, least: f64) -> [[f64; STEPS]; 3] {
+fn measure<T: Copy + Into<f64>>(codes: &[T], width: usize, scale: f64, least: f64) -> [BySteps; 3] {
     let (columns, rows) = (width / BLOCK, codes.len() / (3 * width) / BLOCK);
     // Every stride-th block in both directions, so that at most READ blocks are read.
     let stride = (1..).find(|s| columns.div_ceil(*s) * rows.div_ceil(*s) <= READ).unwrap_or(1);
@@ -125,12 +160,12 @@ fn measure<T: Copy + Into<f64>>(codes: &[T], width: usize, scale: f64, least: f6
                     codes[3 * ((row * BLOCK + y) * width + column * BLOCK + x) + channel].into() / scale
                 };
                 if let Some((mean, variance)) = block(at) {
-                    seen[((mean * STEPS as f64 / CODES as f64) as usize).min(STEPS - 1)].push(variance);
+                    seen[BySteps::step(mean)].push(variance);
                 }
             }
         }
     }
-    seen.map(|seen| filled(seen, least * least))
+    seen.map(|seen| BySteps::quantile(seen, QUANTILE, least * least))
 }
 
 /// Returns the mean of a block and its estimate of the noise variance; `None` if one of its code values is clipped or
@@ -154,27 +189,6 @@ fn block(at: impl Fn(usize, usize) -> f64) -> Option<(f64, f64)> {
     }
     let differences = ((BLOCK - 1) * (BLOCK - 1)) as f64;
     Some((sum / (BLOCK * BLOCK) as f64, squares / differences / 4.0))
-}
-
-/// Returns the lower quartile of the variances of the blocks in each brightness step, at least `least`. Steps with too
-/// few blocks are interpolated between their neighbours.
-fn filled(seen: [Vec<f64>; STEPS], least: f64) -> [f64; STEPS] {
-    let seen = seen.into_iter().enumerate().filter(|(_, values)| values.len() >= FEWEST);
-    let quartile = |values: Vec<f64>| {
-        let rank = (values.len() as f64 * QUANTILE) as usize;
-        of_rank(values, rank)
-    };
-    let known: Vec<(usize, f64)> =
-        seen.filter_map(|(step, values)| Some((step, quartile(values)?.max(least)))).collect();
-    std::array::from_fn(|step| {
-        let above = known.iter().find(|(s, _)| *s >= step);
-        let below = known.iter().rev().find(|(s, _)| *s <= step);
-        match (below, above) {
-            (Some((s, v)), Some((t, u))) if t > s => v + (u - v) * (step - s) as f64 / (t - s) as f64,
-            (Some((_, v)), _) | (None, Some((_, v))) => *v,
-            (None, None) => least,
-        }
-    })
 }
 
 #[cfg(test)]
@@ -213,7 +227,7 @@ mod tests {
             assert!((0.8..1.05).contains(&(found / truth)), "{code}: {found} for {truth}");
         }
         // The frame has no code values near 0. Their noise is set to that of the darkest step that the frame has.
-        assert_eq!(noise.code_variance(0, 0.0), noise.steps[0][1]);
+        assert_eq!(noise.code_variance(0, 0.0), noise.steps[0].0[1]);
     }
 
     #[test]

@@ -3,12 +3,15 @@
 //! In: the row of each frame, by rising exposure, with weights and factors. Out: the radiance of the row, or the weight
 //! of each frame. Cost: the [mean](super::mean).
 
+use super::allowed::Allowed;
 use super::layer::{COLUMNS, Fill, Layer, Taken, Tile};
 use super::mean::Means;
 use crate::simd::Loops;
 
 /// Merges row `y` of the frames with known transforms, within one tile, and writes the radiance to `line`.
 pub(super) struct MergedRow<'a, 'b> {
+    /// What the reference allows; none if frames are merged whatever the reference shows.
+    pub allowed: Option<&'a Allowed>,
     pub layers: &'a [Layer<'b>],
     pub tiles: &'a [Tile],
     pub taken: &'a [Taken<'a>],
@@ -25,6 +28,11 @@ impl Loops for MergedRow<'_, '_> {
         self.means.add_all(None, (self.layers, self.tiles, self.taken), self.y);
         let mut radiance = [[0.0; COLUMNS]; 3];
         self.means.radiance(&mut radiance);
+        if let Some(allowed) = self.allowed
+            && let Some(row) = self.tiles[allowed.reference].row(self.y)
+        {
+            allowed.limit(&row, &mut radiance);
+        }
         let [red, green, blue] = &radiance;
         for (x, pixel) in self.line.iter_mut().enumerate().take(COLUMNS) {
             *pixel = [red[x], green[x], blue[x]];

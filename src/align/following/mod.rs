@@ -42,6 +42,7 @@ const MOST_FITTED: usize = 1500;
 const UNEXPLAINED_HALVES: f64 = 0.1;
 
 /// The transform from which the displacements of a frame are measured.
+#[derive(Debug, Clone, Copy)]
 struct Start {
     transform: Transform,
     /// Whether the frame was rejected because parts of it disagree with the transform.
@@ -52,23 +53,23 @@ struct Start {
 #[derive(Debug, Clone)]
 struct Observed {
     observations: Vec<Observation>,
-    /// The homography from which they were measured, in pixels of the level.
+    /// The transform from which they were measured,
+    start: Start,
+    /// and its homography, in pixels of the level.
     homography: Matrix3<f64>,
     /// The best small homography after it.
     plain: Homography,
-    /// Whether the frame was rejected because parts of it disagree with the homography.
-    is_rejected: bool,
 }
 
 impl Observed {
-    fn new(observations: Vec<Observation>, homography: Matrix3<f64>, is_rejected: bool) -> Self {
+    fn new(observations: Vec<Observation>, start: Start, homography: Matrix3<f64>) -> Self {
         let plain = homography::fit(some(&observations));
-        Observed { observations, homography, plain, is_rejected }
+        Observed { observations, start, homography, plain }
     }
 
     /// Whether bends may be fitted to the frame.
     fn is_usable(&self) -> bool {
-        !self.is_rejected && self.observations.len() >= LEAST_OBSERVED
+        !self.start.is_rejected && self.observations.len() >= LEAST_OBSERVED
     }
 }
 
@@ -186,12 +187,12 @@ fn observed(
     at_once: usize,
 ) -> Vec<Option<Observed>> {
     map_at_once(pyramids.len(), at_once, |i| {
-        let Start { transform, is_rejected } = starts[i].as_ref()?;
-        let pair = FramePair::new(&pyramids[reference], &pyramids[i], transform);
-        let h = transform.matrix(picture.size.0, picture.size.1);
+        let start = starts[i]?;
+        let pair = FramePair::new(&pyramids[reference], &pyramids[i], &start.transform);
+        let h = start.transform.matrix(picture.size.0, picture.size.1);
         let observation = |(patch, d): &_| Observation::new(*patch, d, &picture.coordinates);
         let observations = patches(&pair, &h).iter().map(observation).collect();
-        Some(Observed::new(observations, on_level(&h, picture.level), *is_rejected))
+        Some(Observed::new(observations, start, on_level(&h, picture.level)))
     })
 }
 

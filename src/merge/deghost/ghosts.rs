@@ -4,7 +4,7 @@
 //! share of each frame and the regions. Cost: a few ns per pixel where something moved.
 
 use super::holes::Holes;
-use super::region;
+use super::{region, tolerance};
 use crate::align::Rect;
 use crate::error::{Error, Result};
 use crate::plane::Plane;
@@ -188,6 +188,11 @@ impl Ghosts {
             frames: maps().map(of).collect(),
             regions,
         }
+    }
+
+    /// The factor on all thresholds: 1 with the default strength.
+    pub(in crate::merge) fn tolerance(&self) -> f64 {
+        tolerance(self.strength)
     }
 
     /// Whether frame `layer` has its full weight everywhere.

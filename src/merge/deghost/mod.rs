@@ -18,10 +18,13 @@
 //!    for all three channels together: `evidence`.
 //! 4. A difference is motion if only one of the two, standard or frame, has an edge there: `structure`. A connected
 //!    region that differs is removed completely, with a soft border, only if such edges along its border are strong
-//!    enough on average: `region`. A bracket without motion gives the same bytes as without deghosting.
+//!    enough on average: `region`.
 //! 5. Where something moved, shorter frames that are black are removed too, because black agrees with any dark object.
 //! 6. Where the reference frame is clipped and the shorter frames are removed, radiance is interpolated from the
 //!    clipped surroundings: `holes`.
+//! 7. The merged radiance is limited to what the code values of the reference allow: [`allowed`](super::allowed).
+//!
+//! A bracket in which nothing moved, not even the camera, gives the same bytes as without deghosting.
 //!
 //! hdrgen's weight e^2 / (e^2 + d^2), with e = 0.08 and the difference d from the reference, is not used, because it
 //! treats noise as motion: on five rendered brackets with motion, its PU21-PSNR is 2 to 20 dB lower than without
@@ -74,7 +77,7 @@ pub enum Deghost {
     /// No deghosting: all frames are merged everywhere.
     Off,
     /// 0..=1. At 0.5 a region is removed if it differs by 2 standard deviations, and by 4 somewhere; 0 doubles these
-    /// thresholds, 1 halves them.
+    /// thresholds and the distance of the limits that the reference sets, 1 halves them.
     Strength(f64),
 }
 
@@ -136,8 +139,13 @@ impl fmt::Display for Deghost {
 /// Returns two thresholds in standard deviations: a cell that reaches the first may have moved; a cell that reaches the
 /// second differs certainly.
 fn limits(strength: f64) -> (f32, f32) {
-    let scale = libm::exp2(1.0 - 2.0 * strength) as f32;
+    let scale = tolerance(strength) as f32;
     (2.0 * scale, 4.0 * scale)
+}
+
+/// The factor on all thresholds: 2 for strength 0, 1 for 0.5, and 1/2 for 1.
+fn tolerance(strength: f64) -> f64 {
+    libm::exp2(1.0 - 2.0 * strength)
 }
 
 /// A frame to compare.

@@ -180,8 +180,9 @@ fn continuation_has_the_surrounding_colour_without_seam() {
         // The outer part of the shadow's edge is brighter than the clipping level of the reference. In red, this level
         // is a third of the sunlight. There the frame with the shadow does not contradict the reference, which only shows
         // that the radiance is at least this level. So part of the edge remains; it has at least half of the sunlight.
+        // The level is the same in all channels, so blue, which has least sunlight, is raised by up to a tenth.
         let [r, g, b] = share(x);
-        assert!(r > 0.5 && (g / r - 1.0).abs() < 0.04 && (b / r - 1.0).abs() < 0.04, "{x}: {:?}", share(x));
+        assert!(r > 0.5 && (g / r - 1.0).abs() < 0.04 && (b / r - 1.0).abs() < 0.12, "{x}: {:?}", share(x));
         // The tolerance allows for the edge of the shadow, which rises by 0.04 per pixel.
         assert!((r - share(x - 1)[0]).abs() < 0.1, "{x}: {r} after {}", share(x - 1)[0]);
     }

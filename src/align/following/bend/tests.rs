@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::align::following::observations::Observation;
-use crate::align::following::{Observed, bent};
+use crate::align::following::{Observed, Start, bent};
 use crate::align::motion::bend::{Lens, Radial, SHUTTER_PARAMETERS, Shutter, by_shutter, displacement};
 use crate::align::motion::coordinates::{Coordinates, by_homography};
 use crate::align::motion::{Cause, Followed, Motion};
@@ -131,7 +131,8 @@ fn observed(count: usize, frame: u64, displaced: impl Fn([f64; 2]) -> [f64; 2]) 
         Observation { patch: i, at, displacement, precision: Matrix2::identity() * 40.0 }
     };
     let observations = (0..count).map(observation).collect();
-    Some(Observed::new(observations, Matrix3::identity(), false))
+    let start = Start { transform: Transform::Identity, is_rejected: false };
+    Some(Observed::new(observations, start, Matrix3::identity()))
 }
 
 /// The displacement in pixels of a position by a motion between [`Coordinates`].

@@ -29,7 +29,6 @@ use crate::align::following::depth::geometry::Geometry;
 use crate::align::following::depth::geometry::camera_motion::CameraMotion;
 use crate::align::following::depth::surfaces::Surfaces;
 use crate::align::following::explained::Explained;
-use crate::align::following::observations::Observation;
 use crate::align::following::{Observed, Picture};
 use crate::align::grey::{GreyPyramid, finest_level};
 use crate::align::motion::camera::Camera;
@@ -88,26 +87,37 @@ pub(super) fn relief(
     Some((Relief::new(finest, depths, jump, views.collect()), geometry.explained))
 }
 
-/// The motions of the frames, and the depths of the patches: from the placed frames first, then also from the rejected
-/// frames that agree with these depths.
+/// The motions of the frames, and the depths of the patches; none if depth does not explain the placed frames. A frame
+/// that was rejected contributes if it agrees with the others.
+///
+/// The depths of two pictures alone may be wrong where a pattern repeats, so a rejected frame that disagrees with these
+/// depths may still be right. Therefore all frames are fitted together, and the rejected frame that is explained worst
+/// is left out, until all that remain are explained.
 fn geometry(frames: &[Option<Observed>], unit: f64) -> Option<Geometry> {
     let patches = frames.iter().flatten().flat_map(|f| &f.observations).map(|o| o.patch + 1).max()?;
-    let placed = |frame: &'_ Option<Observed>| frame.as_ref().is_some_and(|frame| !frame.is_rejected);
-    let mut is_used: Vec<bool> = frames.iter().map(placed).collect();
-    let fit = |frames: &[&[Observation]]| geometry::fit(frames, patches, unit).filter(Geometry::is_depth);
-    let used = |is_used: &[bool]| -> Vec<&[Observation]> {
-        let used = frames.iter().zip(is_used);
-        used.map(|(frame, is)| frame.as_ref().filter(|_| *is).map_or(&[][..], |f| &f.observations)).collect()
+    let is_rejected = |i: usize| frames[i].as_ref().is_some_and(|frame| frame.start.is_rejected);
+    let mut is_used: Vec<bool> = (0..frames.len()).map(|i| !is_rejected(i)).collect();
+    let fit = |is_used: &[bool]| {
+        let used = |i: usize| frames[i].as_ref().filter(|_| is_used[i]).map_or(&[][..], |f| &f.observations);
+        geometry::fit(&(0..frames.len()).map(used).collect::<Vec<_>>(), patches, unit)
     };
-    let geometry = fit(&used(&is_used))?;
-    let is_convincing = |frame: &&Observed| geometry.explains(&frame.observations, unit).is_convincing();
-    let joins = |(frame, is): (&'_ Option<Observed>, &bool)| !is && frame.as_ref().filter(is_convincing).is_some();
-    let joining: Vec<bool> = frames.iter().zip(&is_used).map(joins).collect();
-    if !joining.contains(&true) {
-        return Some(geometry);
+    let mut geometry = fit(&is_used).filter(Geometry::is_depth)?;
+    loop {
+        let with = |i: usize| {
+            let mut is_used = is_used.clone();
+            is_used[i] = true;
+            Some((i, fit(&is_used)?))
+        };
+        let joined = (0..frames.len()).filter(|&i| !is_used[i]).filter_map(with);
+        let unexplained = |(i, geometry): &(usize, Geometry)| geometry.explained[*i].unexplained();
+        match joined.min_by(|a, b| unexplained(a).total_cmp(&unexplained(b))) {
+            Some((i, joined)) if joined.explained[i].is_convincing() && joined.is_depth() => {
+                geometry = joined;
+                is_used[i] = true;
+            }
+            _ => return Some(geometry),
+        }
     }
-    is_used.iter_mut().zip(joining).for_each(|(is, joins)| *is |= joins);
-    fit(&used(&is_used))
 }
 
 /// Returns the label of each pixel of the `reference`, with a fraction.

@@ -74,6 +74,33 @@ fn fit(frames: &[Vec<Observation>], patches: usize) -> Option<Geometry> {
     geometry::fit(&frames, patches, Coordinates::new(SIZE).unit)
 }
 
+#[test]
+fn a_rejected_frame_joins_if_it_agrees_and_a_frame_of_another_scene_does_not() {
+    let coordinates = Coordinates::new(SIZE);
+    let motions = two_motions();
+    let mut frames = observations(&[motions[0], motions[1], motions[1]], 600, two_planes);
+    // In the first frame, a pattern repeats along the direction in which depth displaces: the depths of a sixth of the
+    // patches are wrong if they are measured from this frame alone.
+    for observation in frames[0].iter_mut().filter(|o| o.patch % 6 == 1) {
+        observation.displacement += Vector2::from(motions[0].by_depth(observation.at)) * 4.0;
+    }
+    // The third frame shows another scene.
+    for observation in &mut frames[2] {
+        let number = |seed: u64| 24.0 * uniform(seed, observation.patch as i64, 0) - 12.0;
+        observation.displacement += Vector2::new(number(7), number(8));
+    }
+    let observed = |(i, observations): (usize, &Vec<Observation>)| {
+        let start = Start { transform: Transform::Identity, is_rejected: i > 0 };
+        Some(Observed::new(observations.clone(), start, Matrix3::identity()))
+    };
+    let observed: Vec<Option<Observed>> = frames.iter().enumerate().map(observed).collect();
+    let found = geometry(&observed, coordinates.unit).unwrap();
+    assert_eq!([0, 1, 2].map(|i| found.motions[i].is_some()), [true, true, false]);
+    // Of the frame alone, a tenth of the patches is wrong.
+    let unexplained = found.explained[1].unexplained();
+    assert!(unexplained < 0.3, "{unexplained}");
+}
+
 /// Two planes, one of them tilted.
 fn two_planes([u, v]: [f64; 2]) -> f64 {
     if u + 0.3 * v > 0.2 { 3.0 + u } else { -1.0 }

@@ -13,7 +13,7 @@ use crate::align::following::MOST_FITTED;
 use crate::align::following::depth::geometry::camera_motion::{CameraMotion, PARAMETERS};
 use crate::align::following::depth::geometry::direction::Start;
 use crate::align::following::explained::{Explained, LEAST_OBSERVED, ROUNDS, weight};
-use crate::align::following::homography::{self, EXPECTED_PX};
+use crate::align::following::homography::EXPECTED_PX;
 use crate::align::following::observations::Observation;
 use nalgebra::{Matrix2, SMatrix, SVector, Vector2};
 use std::ops::Range;
@@ -41,22 +41,6 @@ impl Geometry {
     /// Whether depth explains what homographies leave unexplained.
     pub(super) fn is_depth(&self) -> bool {
         Explained::are_better(&self.explained)
-    }
-
-    /// How well the depths explain another frame, whose patches did not contribute to them. A frame of another scene
-    /// matches at displacements that these depths do not explain.
-    pub(super) fn explains(&self, observations: &[Observation], unit: f64) -> Explained {
-        let depth = |o: &Observation| self.depths.get(o.patch).copied().flatten();
-        let known: Vec<(&Observation, f64)> = observations.iter().filter_map(|o| Some((o, depth(o)?))).collect();
-        if known.len() < LEAST_OBSERVED {
-            return Explained::default();
-        }
-        let without = CameraMotion::flat(&homography::fit(observations.iter()));
-        let mut motion = without;
-        for round in 0..ROUNDS {
-            motion = step(&motion, &known, unit, &weight(round));
-        }
-        explained(observations, &without, &motion, &self.depths, unit)
     }
 }
 
