@@ -10,8 +10,8 @@
 //! and the reference usually differ, by noise and JPEG, is measured in the merged rows, for each step of brightness: d
 //! is [`TIMES`] their usual difference, and at least [`LEAST`] code values; the strength of deghosting changes it.
 //!
-//! Beside clipped pixels, JPEG changes code values by more, so there is no limit for them. A clipped channel gives a
-//! lower limit only.
+//! Beside clipped pixels, JPEG changes code values by more, so there is no limit for them; in nearly white pixels, the
+//! limits are wider. A clipped channel gives a lower limit only.
 
 use super::Merging;
 use super::layer::{CLIPPED, CLIPS, COLUMNS, Row, Tile};
@@ -66,15 +66,14 @@ impl Allowed {
     /// Limits the merged `radiance` of a row to what the `row` of the reference allows.
     #[inline(always)]
     pub fn limit(&self, row: &Row, radiance: &mut Channels) {
-        let beside = beside(row);
+        let held = held(row);
         for c in 0..3 {
             let limits = self.limits[c].as_slice();
             for x in 0..COLUMNS {
                 let code = integer32(floor32(at_least(row.codes[c][x], 0.0) + 0.5)) as usize;
                 let [least, most] = limits[code.min(CODES - 1)];
-                let least = if beside[x] & (code < CLIPS.0) { 0.0 } else { least };
-                let most = if beside[x] { f32::INFINITY } else { most };
-                radiance[c][x] = at_most(at_least(radiance[c][x], least), most);
+                let least = if code < CLIPS.0 { held[x] * least } else { least };
+                radiance[c][x] = at_most(at_least(radiance[c][x], least), most / held[x]);
             }
         }
     }
@@ -92,16 +91,18 @@ fn limits(curve: &ResponseCurve, channel: usize, away: impl Fn(f64) -> f64) -> V
     (0..CODES).map(of).collect()
 }
 
-/// Which pixels of a row of the reference are beside clipped ones, or nearly clipped.
+/// How much the limits hold for the pixels of a row of the reference, 0..=1: less if the pixel is nearly white, and not at
+/// all beside clipped pixels.
 #[inline(always)]
-fn beside(row: &Row) -> [bool; COLUMNS] {
+fn held(row: &Row) -> [f32; COLUMNS] {
     let [red, green, blue] = row.codes;
-    let mut beside = [false; COLUMNS];
+    let mut held = [0.0; COLUMNS];
     for x in 0..COLUMNS {
         let top = at_least(at_least(red[x], green[x]), blue[x]);
-        beside[x] = (row.beside[x] & CLIPPED != 0) | (top > MAY_CLIP.0);
+        let below = at_most(at_least((MAY_CLIP.1 - top) * (1.0 / (MAY_CLIP.1 - MAY_CLIP.0)), 0.0), 1.0);
+        held[x] = if row.beside[x] & CLIPPED != 0 { 0.0 } else { below };
     }
-    beside
+    held
 }
 
 /// The differences between the reference and the mean in row `y` of the result.
@@ -114,8 +115,8 @@ fn differences(merging: &Merging, reference: usize, curve: &ResponseCurve, y: us
     for (line, left) in merged.row(0).chunks(COLUMNS).zip((region.x0..).step_by(COLUMNS)) {
         tile.read(layer, &window, left..left + line.len(), rows.clone());
         let Some(row) = tile.row(0) else { continue };
-        let beside = beside(&row);
-        for (x, pixel) in line.iter().enumerate().filter(|(x, _)| !beside[*x]) {
+        let held = held(&row);
+        for (x, pixel) in line.iter().enumerate().filter(|(x, _)| held[*x] == 1.0) {
             for (channel, radiance) in pixel.iter().enumerate() {
                 let code = row.codes[channel][x];
                 let apart = (curve.code(channel, *radiance) - code).abs();
