@@ -22,7 +22,7 @@
 //! 5. Where something moved, shorter frames that are black are removed too, because black agrees with any dark object.
 //! 6. Where the reference frame is clipped and the shorter frames are removed, radiance is interpolated from the
 //!    clipped surroundings: `holes`.
-//! 7. The merged radiance is limited to what the code values of the reference allow: [`allowed`](super::allowed).
+//! 7. The merged radiance is limited to what the code values of the reference allow: `allowed`.
 //!
 //! A bracket in which nothing moved, not even the camera, gives the same bytes as without deghosting.
 //!
