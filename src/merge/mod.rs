@@ -35,6 +35,7 @@
 //!   registered scans. Such pixels and their neighbours are not used, except in the reference frame.
 //! - A frame with an [assumed](crate::align::Placement::Assumed) transform is not among the frames j: it fills what is
 //!   clipped, or black, in all frames j (`fill`).
+//! - If ghosts are removed, E is limited to what the code value of the reference frame allows (`allowed`).
 //! - In locally processed frames (those of phones with local tone mapping), X_j / dt_j and the radiances that u
 //!   compares are multiplied by the local [gain](local).
 //!

@@ -22,15 +22,11 @@ const BLOCK: usize = 8;
 const READ: usize = 16_384;
 /// Number of steps of brightness that the code values are divided into.
 pub(super) const STEPS: usize = 16;
-/// Smallest number of blocks for an estimate of the noise of a brightness step. In steps with fewer blocks, the noise
+/// Smallest number of values from which the quantile of a step of brightness is computed. In steps with fewer values, it
 /// is interpolated.
 const FEWEST: usize = 12;
 /// Quantile of the variances of the blocks of a step that is used as the variance of the noise.
 const QUANTILE: f64 = 0.25;
-
-/// A positive value for each step of brightness.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct BySteps([f64; STEPS]);
 /// Smallest standard deviation of a code value. Rounding to integers alone gives 0.29; most of the rest is from the
 /// rounding of JPEG coefficients.
 const LEAST: f64 = 1.0;
@@ -40,6 +36,10 @@ const ERROR: (f64, f64) = (0.02, 0.05);
 
 /// Relative error for camera raw, whose response is known.
 const RAW_ERROR: (f64, f64) = (0.002, 0.01);
+
+/// A positive value for each step of brightness.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct BySteps([f64; STEPS]);
 
 /// The noise of one frame.
 #[derive(Debug, Clone, PartialEq)]

@@ -91,8 +91,8 @@ pub(super) fn relief(
 /// that was rejected contributes if it agrees with the others.
 ///
 /// The depths of two pictures alone may be wrong where a pattern repeats, so a rejected frame that disagrees with these
-/// depths may still be right. Therefore all frames are fitted together, and the rejected frame that is explained worst
-/// is left out, until all that remain are explained.
+/// depths may still be right. Therefore each rejected frame is fitted together with the frames that contribute. The one
+/// that is explained best contributes too, and so on, until none is explained well enough.
 fn geometry(frames: &[Option<Observed>], unit: f64) -> Option<Geometry> {
     let patches = frames.iter().flatten().flat_map(|f| &f.observations).map(|o| o.patch + 1).max()?;
     let is_rejected = |i: usize| frames[i].as_ref().is_some_and(|frame| frame.start.is_rejected);
