@@ -20,10 +20,6 @@ const MOST_MISFIT: f64 = 9.0;
 /// by themselves are not explained by the motion of the camera. On rendered scenes, the share is at most 0.29 with
 /// depth, and at least 0.64 with leaves.
 const MOST_LEFT: f64 = 0.33;
-/// and at most this share in all frames but the one that it improves most. Depths can be chosen so that they explain
-/// one frame, even if it is only smeared; but not so that they explain the others as well. On rendered scenes, this
-/// share is at most 0.49 with depth, and at least 0.73 in scenes with a smeared frame that pass the first limit.
-const MOST_LEFT_IN_OTHERS: f64 = 0.6;
 /// A motion with few parameters suffices if it leaves at most this mean misfit, in variances. On rendered scenes, 0.19
 /// and less remain with the right motion, and 0.8 and more if near and far things are displaced against each other.
 const NOISE: f64 = 0.33;
@@ -81,8 +77,8 @@ impl Explained {
     }
 
     /// The sums over `frames`.
-    fn sum<'a>(frames: impl IntoIterator<Item = &'a Explained>) -> Self {
-        frames.into_iter().fold(Explained::default(), |sum, e| Explained {
+    fn sum(frames: &[Explained]) -> Self {
+        frames.iter().fold(Explained::default(), |sum, e| Explained {
             count: sum.count + e.count,
             cost_by_homography: sum.cost_by_homography + e.cost_by_homography,
             cost_by_motion: sum.cost_by_motion + e.cost_by_motion,
@@ -95,16 +91,10 @@ impl Explained {
         if self.count < LEAST_OBSERVED { 1.0 } else { self.unexplained as f64 / self.count as f64 }
     }
 
-    /// Whether homographies leave more than noise in all `frames`, and the motions little of it: in all frames together,
-    /// and also without the frame that they improve most.
+    /// Whether homographies leave more than noise in all `frames` together, and the motions little of it.
     pub(super) fn are_better(frames: &[Explained]) -> bool {
         let all = Explained::sum(frames);
-        let saved = |e: &Explained| e.cost_by_homography - e.cost_by_motion;
-        let most = (0..frames.len()).max_by(|&a, &b| saved(&frames[a]).total_cmp(&saved(&frames[b])));
-        let others = Explained::sum(frames.iter().enumerate().filter(|(i, _)| Some(*i) != most).map(|(_, e)| e));
-        all.cost_by_homography > NOISE * all.count as f64
-            && all.cost_by_motion <= MOST_LEFT * all.cost_by_homography
-            && others.cost_by_motion <= MOST_LEFT_IN_OTHERS * others.cost_by_homography
+        all.cost_by_homography > NOISE * all.count as f64 && all.cost_by_motion <= MOST_LEFT * all.cost_by_homography
     }
 
     /// The mean misfit in all `frames`, in variances, if each is bounded by [`MOST_MISFIT`]; none if the motions leave
@@ -122,7 +112,7 @@ impl Explained {
 }
 
 /// The misfit, in variances, bounded by [`MOST_MISFIT`] (Geman & McClure).
-fn bounded(misfit: f64) -> f64 {
+pub(super) fn bounded(misfit: f64) -> f64 {
     misfit / (1.0 + misfit / MOST_MISFIT)
 }
 
@@ -151,9 +141,8 @@ mod tests {
     }
 
     #[test]
-    fn depth_explains_more_than_one_frame() {
+    fn a_motion_is_better_if_little_remains_of_more_than_noise() {
         assert!(Explained::are_better(&[frame(0.9, 0.1), frame(0.6, 0.1), frame(2.0, 0.1)]), "small depth");
-        assert!(!Explained::are_better(&[frame(0.1, 0.07), frame(0.1, 0.08), frame(2.0, 0.1)]), "one smeared frame");
         assert!(!Explained::are_better(&[frame(1.4, 1.0), frame(1.3, 1.0), frame(1.2, 0.9)]), "leaves");
         assert!(!Explained::are_better(&[frame(0.2, 0.02), frame(0.3, 0.03)]), "homographies leave noise only");
         assert!(Explained::are_better(&[Explained::default(), frame(2.0, 0.1)]), "one frame was observed");

@@ -142,6 +142,16 @@ fn nothing_is_measured_without_depth_or_with_independent_motion() {
         }
     }
     assert!(!is_depth(&leaves), "depth does not explain it");
+    // Two frames are smeared, one of them much more: each disagrees with its homography, but not as the other.
+    let still = motion([0.0; 11]);
+    let mut smeared = observations(&[still, still], 600, |_| 0.0);
+    for (frame, along) in [(0, Vector2::new(0.2, 0.1)), (1, Vector2::new(3.0, -5.0))] {
+        for s in &mut smeared[frame] {
+            s.displacement += along * (2.0 * uniform(9, s.patch as i64, frame as i64) - 1.0);
+        }
+    }
+    assert!(fit(&smeared, 600).is_some_and(|g| Explained::are_better(&g.explained)), "depth explains one of them");
+    assert!(!is_depth(&smeared), "the frames do not agree");
     let few = observations(&two_motions(), 20, two_planes);
     assert!(fit(&few, 20).is_none(), "too few patches");
 }
