@@ -105,7 +105,7 @@ impl Options {
     /// Returns the weighting function for the frames of `bracket`. The noise of camera raw is known well enough for
     /// inverse variances; photographs have been processed, so their middle values are trusted most.
     pub(crate) fn weight_for(&self, bracket: &Bracket) -> Weight {
-        self.weight.unwrap_or(if bracket.reference().is_raw { Weight::Noise } else { Weight::Hat })
+        self.weight.unwrap_or(if bracket.reference().is_raw() { Weight::Noise } else { Weight::Hat })
     }
 
     /// Returns the stages that determine the memory of a run that aligns.

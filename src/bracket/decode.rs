@@ -13,7 +13,7 @@ mod png;
 mod sniff;
 mod tiff;
 
-use super::Samples;
+use super::{Raw, Samples};
 use crate::error::{Error, Result};
 use crate::limits::Limits;
 use exif::{Exif, In, Tag};
@@ -38,8 +38,8 @@ pub(super) struct Decoded {
     pub icc: Option<Vec<u8>>,
     /// Whether the file has an alpha channel, which is dropped.
     pub has_alpha: bool,
-    /// Whether the file is a camera raw file.
-    pub is_raw: bool,
+    /// What a camera raw file shows, orientation applied; none for other files.
+    pub raw: Option<Raw>,
     /// Descriptions of the metadata that was ignored.
     pub notes: Vec<String>,
 }
@@ -58,8 +58,8 @@ struct Stored {
     icc: Option<Vec<u8>>,
     /// Whether the file has an alpha channel, which is dropped.
     has_alpha: bool,
-    /// Whether the file is a camera raw file.
-    is_raw: bool,
+    /// What a camera raw file shows; none for other files.
+    raw: Option<Raw>,
     /// Descriptions of the metadata that was ignored.
     notes: Vec<String>,
 }
@@ -113,7 +113,7 @@ pub(super) fn decode(path: &Path, bytes: Vec<u8>, limits: &Limits) -> Result<Dec
         exif,
         icc: stored.icc,
         has_alpha: stored.has_alpha,
-        is_raw: stored.is_raw,
+        raw: stored.raw.map(|raw| orient::turned(raw, (stored.width, stored.height), turn)),
         notes,
     })
 }

@@ -22,6 +22,8 @@ pub use load::{LoadOptions, load, load_with_progress};
 pub(crate) use load::{differing_profiles, load_for};
 #[doc(hidden)]
 pub use photograph::Photograph;
+pub(crate) use raw::MergedMosaic;
+pub use raw::{Pattern, Raw};
 pub use reference::ReferenceChoice;
 pub(crate) use reference::named;
 #[doc(hidden)]
@@ -120,9 +122,9 @@ pub struct Frame {
     pub exposure: Exposure,
     /// Colour profile of the frame; sRGB is assumed where there is none.
     pub profile: Option<Profile>,
-    /// Whether the frame was read from a camera raw file. Its response is known (sRGB), and its profile has the colours
-    /// of the camera.
-    pub is_raw: bool,
+    /// What the camera raw file shows from which the frame was read; none for other files. The response of a raw frame
+    /// is known (sRGB), and its profile has the colours of the camera.
+    pub raw: Option<Raw>,
     /// Other capture data.
     pub capture: Capture,
     /// Why the frame is excluded from the merge unless the user includes it, for example because the flash fired.
@@ -130,6 +132,11 @@ pub struct Frame {
 }
 
 impl Frame {
+    /// Whether the frame was read from a camera raw file.
+    pub fn is_raw(&self) -> bool {
+        self.raw.is_some()
+    }
+
     /// Creates a frame of `width` x `height` pixels from interleaved RGB pixel values.
     ///
     /// # Panics
@@ -155,7 +162,7 @@ impl Frame {
             well_exposed,
             exposure,
             profile: None,
-            is_raw: false,
+            raw: None,
             capture: Capture::default(),
             excluded: None,
         }

@@ -327,7 +327,7 @@ pub(super) fn layers<'a>(
         Ok((frame, motion, frame.exposure.relative() / reference, noise, (fill(i), i == bracket.reference_index())))
     };
     let mut placed = alignment.placed(bracket).map(seen).collect::<Result<Vec<_>>>()?;
-    if bracket.reference().is_raw {
+    if bracket.reference().is_raw() {
         let all: Vec<Noise> = placed.iter().map(|(.., noise, _)| noise.clone()).collect();
         placed.iter_mut().for_each(|(.., noise, _)| noise.raise(all.iter()));
     }

@@ -13,7 +13,7 @@ use super::mean::{Bounds, Means};
 use super::rows::MergedRow;
 use super::{MergeOptions, Merged, RadianceMap};
 use crate::align::{Alignment, Rect};
-use crate::bracket::Bracket;
+use crate::bracket::{Bracket, MergedMosaic, Raw};
 use crate::error::{Error, Result};
 use crate::plane::Plane;
 use crate::response::ResponseCurve;
@@ -21,6 +21,10 @@ use crate::simd::vectorised;
 use std::ops::Range;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Rows of a mosaic that are merged at a time: few enough to take little memory, and many beside the rows above and
+/// below that are merged too.
+const STRIP: usize = 256;
 
 /// A prepared merge, to be computed at once or slab by slab.
 pub struct Merging<'a> {
@@ -33,6 +37,8 @@ pub struct Merging<'a> {
     /// What the reference allows, if ghosts are removed.
     allowed: Option<Allowed>,
     local: Option<&'a LocalGain>,
+    /// The mosaic of the merged radiance, if nothing moved between raw frames.
+    mosaic: Option<MergedMosaic>,
 }
 
 /// A slab: consecutive rows of the result.
@@ -83,7 +89,8 @@ impl<'a> Merging<'a> {
             });
         }
         let frames: Vec<usize> = alignment.placed(bracket).map(|(i, _, _)| i).collect();
-        let merging = Merging { bracket, region, layers, frames, ghosts, allowed: None, local: None };
+        let merging = Merging { bracket, region, layers, frames, ghosts, allowed: None, local: None, mosaic: None };
+        let merging = Merging { mosaic: merging.mosaic(curve), ..merging };
         let Some(ghosts) = ghosts else { return Ok(merging) };
         ghosts.check(region, &merging.paths())?;
         // If nothing moved, neither the camera nor the scene, the mean is better than the reference alone.
@@ -96,6 +103,25 @@ impl<'a> Merging<'a> {
             _ => None,
         };
         Ok(Merging { allowed, ..merging })
+    }
+
+    /// The mosaic of the merged radiance; none if a frame moved, or has no such colour filters.
+    fn mosaic(&self, curve: &ResponseCurve) -> Option<MergedMosaic> {
+        let frames = || self.frames.iter().map(|&i| &self.bracket.frames()[i]);
+        let raw = self.bracket.reference().raw.as_ref();
+        let Some(Raw::Mosaic(pattern)) = raw else { return None };
+        let is_measured = |layer: &Layer| layer.is_still() && layer.fill.is_none();
+        if !(self.layers.iter().all(is_measured) && frames().all(|frame| frame.raw.as_ref() == raw)) {
+            return None;
+        }
+        let (x0, y0) = (self.region.x0, self.region.y0);
+        let times = || frames().map(|frame| frame.exposure.relative() / self.bracket.reference().exposure.relative());
+        let (shortest, longest) = (times().next()? as f32, times().next_back()? as f32);
+        let exposure = |code: f32| (0..3).map(move |c| curve.exposure(c, code));
+        let white = exposure(255.0).fold(0.0, f32::max) / shortest;
+        let black = exposure(0.0).fold(f32::INFINITY, f32::min) / longest;
+        let pattern = pattern.seen(|x, y| (x0 + x, y0 + y));
+        Some(MergedMosaic::new(pattern, [black, white], longest / shortest))
     }
 
     /// Adds the gains of locally processed frames; the gains must be of the same region and alignment.
@@ -179,8 +205,26 @@ impl<'a> Merging<'a> {
     /// # Panics
     /// If `rows` are empty or not within the result.
     pub fn slab(&self, rows: Range<usize>) -> Result<Slab> {
-        let Rect { x0, y0, x1, .. } = self.region;
         assert!(rows.start < rows.end && rows.end <= self.region.height());
+        let Some(mosaic) = &self.mosaic else { return self.pixel_by_pixel(rows.clone(), &rows) };
+        let (width, border) = (self.region.width(), MergedMosaic::BORDER);
+        let (mut pixels, mut bounds) = (Vec::with_capacity(width * rows.len()), (0, 0));
+        for first in rows.clone().step_by(STRIP) {
+            let strip = first..(first + STRIP).min(rows.end);
+            let wide = first.saturating_sub(border)..(strip.end + border).min(self.region.height());
+            let slab = self.pixel_by_pixel(wide.clone(), &strip)?;
+            pixels.extend(mosaic.demosaiced(&slab.map.pixels, wide.start, strip));
+            bounds = (bounds.0 + slab.all_clipped, bounds.1 + slab.all_black);
+        }
+        let pixels = Plane::from_vec(width, rows.len(), pixels);
+        let map = RadianceMap { pixels, primaries: self.bracket.reference().primaries() };
+        Ok(Slab { map, all_clipped: bounds.0, all_black: bounds.1 })
+    }
+
+    /// Merges `rows` of the result, each pixel by itself. Pixels whose radiance is only a bound are counted in the rows
+    /// `counted`.
+    fn pixel_by_pixel(&self, rows: Range<usize>, counted: &Range<usize>) -> Result<Slab> {
+        let Rect { x0, y0, x1, .. } = self.region;
         let (first, columns) = (rows.start, x0..x1);
         let whole = y0 + rows.start..y0 + rows.end;
         let windows = self.layers.iter().map(|layer| layer.window(&columns, &whole)).collect::<Result<Vec<_>>>()?;
@@ -220,9 +264,11 @@ impl<'a> Merging<'a> {
                                 vectorised(FilledRow { layers, tiles, taken, y, fill, filling, known, radiance });
                             }
                         }
-                        let found = means.bounds(line.len());
-                        bounds.clipped += found.clipped;
-                        bounds.black += found.black;
+                        if counted.contains(&(rows.start + y)) {
+                            let found = means.bounds(line.len());
+                            bounds.clipped += found.clipped;
+                            bounds.black += found.black;
+                        }
                     }
                 }
                 if let Some(ghosts) = self.ghosts {

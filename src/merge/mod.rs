@@ -161,7 +161,7 @@ pub struct MergeReport {
 mod tests {
     use super::*;
     use crate::align::{Alignment, Placement, RejectedBy, Transform};
-    use crate::bracket::Bracket;
+    use crate::bracket::{Bracket, Pattern, Raw, ReferenceChoice};
     use crate::response::ResponseCurve;
     use crate::response::tests::still;
 
@@ -246,6 +246,41 @@ mod tests {
         alignment.placements[0] = Placement::excluded(RejectedBy::User, "a reason".into());
         let (rejected, report) = run(&bracket, &alignment, Weight::Hat);
         assert_eq!((outside.pixels, report.frames), (rejected.pixels, 2));
+    }
+
+    #[test]
+    fn unmoved_raw_frames_are_demosaiced_once_whatever_the_slabs() {
+        let (bracket, mut alignment) =
+            still((50, 90), &[0.5, 2.0], |x, y| [0.01 * (x % 9) as f64, 0.02 * (y % 11) as f64, 0.1 * (x % 2) as f64]);
+        let pattern = Pattern::bayer([0, 1, 1, 2]);
+        let raw = |raw: Raw| {
+            let mut frames = bracket.frames().to_vec();
+            frames.iter_mut().for_each(|frame| frame.raw = Some(raw.clone()));
+            Bracket::new(frames, &ReferenceChoice::Number(2)).unwrap()
+        };
+        let (pixel_by_pixel, counts) = run(&raw(Raw::Rgb), &alignment, Weight::Noise);
+        let bracket = raw(Raw::Mosaic(pattern.clone()));
+        let region = Rect { x0: 3, y0: 5, ..alignment.overlap };
+        let options = MergeOptions { weight: Weight::Noise, region };
+        let curve = ResponseCurve::srgb();
+        let merging = Merging::of(&bracket, &alignment, &curve, &options, None).unwrap();
+        let whole = merging.slab(0..85).unwrap();
+        for (x, y) in (0..85).flat_map(|y| (0..47).map(move |x| (x, y))) {
+            let c = pattern.at(3 + x, 5 + y);
+            let (found, mean) = (whole.map.pixels.at(x, y)[c], pixel_by_pixel.pixels.at(3 + x, 5 + y)[c]);
+            assert!((found / mean - 1.0).abs() < 1e-4, "measured values stay: {x} {y} {found} {mean}");
+        }
+        assert_ne!(whole.map.pixels.at(20, 20), pixel_by_pixel.pixels.at(23, 25), "others are interpolated");
+        let slabs = [0..1, 1..40, 40..85].map(|rows| merging.slab(rows).unwrap());
+        let joined: Vec<_> = slabs.iter().flat_map(|slab| slab.map.pixels.as_slice().to_vec()).collect();
+        assert_eq!(joined, whole.map.pixels.as_slice());
+        let sum = |of: fn(&Slab) -> usize| slabs.iter().map(of).sum::<usize>();
+        assert_eq!((sum(|s| s.all_clipped), sum(|s| s.all_black)), (whole.all_clipped, whole.all_black));
+        assert!(whole.all_black > 0 && whole.all_black <= counts.all_black);
+        // A frame that moved has no measured value at some pixels.
+        alignment.placements[0] = Placement::by_user(Transform::Rigid { dx: 0.0, dy: 0.0, angle: 0.0 });
+        let moved = run(&bracket, &alignment, Weight::Noise);
+        assert_eq!(moved, run(&raw(Raw::Rgb), &alignment, Weight::Noise), "frames are merged pixel by pixel");
     }
 
     #[test]

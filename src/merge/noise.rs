@@ -61,7 +61,7 @@ impl Noise {
     /// # Errors
     /// [`Error::Scratch`](crate::error::Error::Scratch) if the frame is on disk and cannot be read.
     pub(super) fn of(frame: &Frame, moved: bool) -> Result<Self> {
-        let (least, error) = if frame.is_raw { (LEAST / 257.0, RAW_ERROR) } else { (LEAST, ERROR) };
+        let (least, error) = if frame.is_raw() { (LEAST / 257.0, RAW_ERROR) } else { (LEAST, ERROR) };
         Ok(Noise { steps: shown(frame, least)?, error: if moved { error.1 } else { error.0 } })
     }
 

@@ -119,7 +119,7 @@ pub(super) fn decode(mut bytes: Vec<u8>, limits: &Limits) -> Result<Stored, Reas
         directory: 0,
         icc,
         has_alpha: false,
-        is_raw: false,
+        raw: None,
         notes: Vec::new(),
     })
 }

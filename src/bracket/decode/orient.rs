@@ -3,7 +3,10 @@
 //! In: interleaved RGB and the EXIF orientation, 1 to 8. Out: the upright image. Cost: none for 1, else one copy.
 //! Source: EXIF 2.32, tag 274, which gives the displayed side of row 0 and column 0 of the stored image.
 
-use crate::bracket::Samples;
+use crate::bracket::{Raw, Samples};
+
+/// Columns and rows in which every pattern of colour filters repeats.
+const PERIOD: usize = 6;
 
 /// Returns the upright samples, their width and height. An invalid orientation counts as 1.
 pub(super) fn apply(samples: Samples, width: usize, height: usize, orientation: u32) -> (Samples, usize, usize) {
@@ -25,25 +28,48 @@ fn turn<T: Copy>(stored: &[T], width: usize, height: usize, orientation: u32) ->
     let (seen_width, seen_height) = if orientation >= 5 { (height, width) } else { (width, height) };
     for y in 0..seen_height {
         for x in 0..seen_width {
-            // Stored column and row of the pixel displayed at (x, y).
-            let (column, row) = match orientation {
-                2 => (right - x, y),
-                3 => (right - x, bottom - y),
-                4 => (x, bottom - y),
-                5 => (y, x),
-                6 => (y, bottom - x),
-                7 => (right - y, bottom - x),
-                _ => (right - y, x),
-            };
+            let (column, row) = stored_position((x, y), (right, bottom), orientation);
             seen.extend_from_slice(&pixels[row * width + column]);
         }
     }
     seen
 }
 
+/// Returns the colour filters of the upright image. `size` is the width and height of the stored one.
+pub(super) fn turned(raw: Raw, size: (usize, usize), orientation: u32) -> Raw {
+    match raw {
+        Raw::Mosaic(pattern) => {
+            // The pattern repeats, so a picture that is larger by a multiple of its size has the same.
+            let (right, bottom) = (size.0 - 1 + 2 * PERIOD, size.1 - 1 + 2 * PERIOD);
+            Raw::Mosaic(pattern.seen(|x, y| stored_position((x, y), (right, bottom), orientation)))
+        }
+        Raw::Rgb => Raw::Rgb,
+    }
+}
+
+/// Returns column and row, as stored, of the pixel displayed at column and row (x, y). The last stored column and row
+/// are `right` and `bottom`. An invalid orientation counts as 1.
+pub(super) fn stored_position(
+    (x, y): (usize, usize),
+    (right, bottom): (usize, usize),
+    orientation: u32,
+) -> (usize, usize) {
+    match orientation {
+        2 => (right - x, y),
+        3 => (right - x, bottom - y),
+        4 => (x, bottom - y),
+        5 => (y, x),
+        6 => (y, bottom - x),
+        7 => (right - y, bottom - x),
+        8 => (right - y, x),
+        _ => (x, y),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::bracket::Pattern;
 
     /// For each orientation, the side on which row 0 and column 0 of the stored image are displayed, in the words of
     /// EXIF 2.32.
@@ -90,6 +116,27 @@ mod tests {
         let samples = Samples::Sixteen((0..18).collect());
         for orientation in [0, 9, 65535] {
             assert_eq!(apply(samples.clone(), 3, 2, orientation), (samples.clone(), 3, 2));
+        }
+    }
+
+    #[test]
+    fn colour_filters_are_those_of_the_turned_pixels() {
+        let pattern = Pattern::bayer([1, 0, 2, 1]);
+        for (width, height) in [(4, 6), (5, 6), (4, 7), (5, 7), (1, 1)] {
+            // Each pixel has the number of its colour.
+            let colours: Vec<u8> =
+                (0..width * height).flat_map(|i| [pattern.at(i % width, i / width) as u8; 3]).collect();
+            for orientation in 0..=8 {
+                let (seen, w, h) = apply(Samples::Eight(colours.clone()), width, height, orientation);
+                let Samples::Eight(seen) = seen else { panic!("the depth is kept") };
+                let Raw::Mosaic(turned) = turned(Raw::Mosaic(pattern.clone()), (width, height), orientation) else {
+                    panic!("a mosaic stays a mosaic")
+                };
+                for (i, pixel) in seen.chunks_exact(3).enumerate() {
+                    assert_eq!(usize::from(pixel[0]), turned.at(i % w, i / w), "{width}x{height}, {orientation}");
+                }
+                assert_eq!(w * h, width * height);
+            }
         }
     }
 }

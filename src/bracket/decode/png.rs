@@ -79,7 +79,7 @@ pub(super) fn decode(bytes: &[u8], allowed: &Allowed) -> Result<Stored, Reason> 
         directory: 0,
         icc: colour::profile(info, embedded, &mut notes),
         has_alpha: matches!(channels, 2 | 4),
-        is_raw: false,
+        raw: None,
         notes,
     })
 }

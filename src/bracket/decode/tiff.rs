@@ -79,7 +79,7 @@ pub(super) fn decode(mut bytes: Vec<u8>, allowed: &Allowed) -> Result<Stored, Re
         directory: picture.index as u16,
         icc,
         has_alpha: kind.has_alpha,
-        is_raw: false,
+        raw: None,
         notes: Vec::new(),
     })
 }
@@ -94,7 +94,7 @@ fn refuse_raw(picture: Picture) -> Result<(), Reason> {
 
 /// Develops a DNG file.
 fn developed(bytes: Vec<u8>, allowed: &Allowed) -> Result<Stored, Reason> {
-    let Developed { width, height, samples, needed, profile } = raw::develop(&bytes, allowed)?;
+    let Developed { width, height, samples, needed, profile, raw } = raw::develop(&bytes, allowed)?;
     Ok(Stored {
         width,
         height,
@@ -104,7 +104,7 @@ fn developed(bytes: Vec<u8>, allowed: &Allowed) -> Result<Stored, Reason> {
         directory: 0,
         icc: profile.map(|profile| profile.icc),
         has_alpha: false,
-        is_raw: true,
+        raw: Some(raw),
         notes: Vec::new(),
     })
 }

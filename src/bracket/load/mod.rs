@@ -165,7 +165,7 @@ pub(crate) fn load_for(
             notes.insert(picture.path.clone(), picture.warnings);
             let mut frame = Frame::stored(picture.path, size, picture.store, picture.well_exposed, exposure);
             frame.profile = picture.profile;
-            frame.is_raw = picture.is_raw;
+            frame.raw = picture.raw;
             frame.capture = picture.capture;
             frame.excluded = picture.excluded;
             frame
@@ -243,7 +243,7 @@ fn refuse_same_files(paths: &[PathBuf]) -> Result<()> {
 
 /// Rejects brackets of raw files and others: the same light has other values in them.
 fn check_kinds(pictures: &[Picture]) -> Result<()> {
-    let first = |is_raw| pictures.iter().find(|p| p.is_raw == is_raw).map(|p| p.path.display());
+    let first = |is_raw| pictures.iter().find(|p| p.raw.is_some() == is_raw).map(|p| p.path.display());
     let (Some(raw), Some(other)) = (first(true), first(false)) else { return Ok(()) };
     let reason = format!("{raw} is a camera raw file, and {other} is not; give the raw files only, or leave them out");
     Err(Error::Option { option: "IMAGES", reason })

@@ -12,7 +12,7 @@ use crate::bracket::load::LoadOptions;
 use crate::bracket::load::copies::Look;
 use crate::bracket::metadata::capture;
 use crate::bracket::window::Store;
-use crate::bracket::{Capture, reference};
+use crate::bracket::{Capture, Raw, reference};
 use crate::error::{Error, Result, Warning};
 use crate::intake;
 use crate::limits::Limits;
@@ -34,8 +34,8 @@ pub(super) struct Picture {
     pub well_exposed: u64,
     pub tags: ExposureTags,
     pub profile: Option<Profile>,
-    /// Whether the file is a camera raw file.
-    pub is_raw: bool,
+    /// What a camera raw file shows; none for other files.
+    pub raw: Option<Raw>,
     pub capture: Capture,
     /// Why the file is excluded from the merge, if it is.
     pub excluded: Option<String>,
@@ -48,7 +48,7 @@ impl Picture {
         let limits = options.limits();
         let bytes = content(path, &limits)?;
         refuse_result(path, &bytes, &limits)?;
-        let Decoded { width, height, samples, decoding, exif, icc, is_raw, mut notes, .. } =
+        let Decoded { width, height, samples, decoding, exif, icc, raw, mut notes, .. } =
             decode::decode(path, bytes, &limits)?;
         let tags = exif.as_ref().map(ExposureTags::read).unwrap_or_default();
         let capture = exif.as_ref().map(|exif| capture::read(exif, options.keep_gps)).unwrap_or_default();
@@ -70,7 +70,7 @@ impl Picture {
             well_exposed,
             tags,
             profile,
-            is_raw,
+            raw,
             capture,
             excluded: None,
             warnings,

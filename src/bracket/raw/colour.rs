@@ -8,8 +8,9 @@
 //! interpolated by the inverse temperature of the white of the photograph, which depends on the matrix itself, so both
 //! are computed alternately.
 
+use super::Reason;
+use super::stretch::Scale;
 use super::tags::{Tags, tag};
-use super::{Reason, stretch};
 use crate::bracket::colour::Primaries;
 use crate::simd::at_most;
 use nalgebra::{Matrix3, Vector3};
@@ -138,12 +139,19 @@ pub(super) struct Balance {
     factors: [f32; 3],
     /// The balanced value from which a colour may be clipped.
     top: f32,
+    scale: Scale,
 }
 
 impl Balance {
     /// The balance for a white that the camera sees as `neutral`, and colours that are clipped from `clip` on.
     pub(super) fn new(neutral: [f32; 3], clip: [f32; 3]) -> Self {
-        Balance { factors: neutral.map(|n| 1.0 / n), top: (0..3).map(|c| clip[c] / neutral[c]).fold(1.0, f32::min) }
+        let top = (0..3).map(|c| clip[c] / neutral[c]).fold(1.0, f32::min);
+        Balance { factors: neutral.map(|n| 1.0 / n), top, scale: Scale::of_sensor() }
+    }
+
+    /// No balance, for values up to `white`.
+    pub(super) fn balanced(white: f32, scale: Scale) -> Self {
+        Balance { factors: [1.0 / white; 3], top: f32::INFINITY, scale }
     }
 
     /// The factor on values of colour `c`.
@@ -151,10 +159,10 @@ impl Balance {
         self.factors[c]
     }
 
-    /// The [stretched](stretch) value of a balanced one, at most 1; 1 if it may be clipped.
+    /// The [stretched](super::stretch) value of a balanced one, at most 1; 1 if it may be clipped.
     #[inline(always)]
     pub(super) fn stretched(&self, balanced: f32) -> f32 {
-        let stretched = at_most(stretch::stretched(balanced), 1.0);
+        let stretched = at_most(self.scale.stretched(balanced), 1.0);
         if balanced >= self.top { 1.0 } else { stretched }
     }
 

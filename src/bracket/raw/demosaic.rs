@@ -25,7 +25,7 @@ use rayon::prelude::*;
 
 /// Width of the border of a tile: the filters below reach 3 (red and blue), 2 (directions), 2 + 1 (changes) and 2
 /// pixels (differences) far.
-const BORDER: usize = 12;
+pub(super) const BORDER: usize = 12;
 /// Columns and rows of a tile.
 const COLUMNS: usize = 232;
 const ROWS: usize = 128;

@@ -18,6 +18,7 @@ mod demosaic;
 mod dng;
 mod levels;
 mod lossless_jpeg;
+mod merged_mosaic;
 mod opcodes;
 mod pattern;
 mod stretch;
@@ -30,8 +31,10 @@ use crate::simd::{at_least, at_most};
 use colour::{Balance, CameraColour};
 pub(super) use dng::head;
 use levels::Levels;
+pub(crate) use merged_mosaic::MergedMosaic;
 use opcodes::Gain;
-use pattern::Pattern;
+pub use pattern::Pattern;
+use stretch::Scale;
 
 /// Why a file was rejected.
 type Reason = String;
@@ -52,9 +55,9 @@ enum Values {
     Floats(Plane<f32>),
 }
 
-/// What the samples of a file are.
-#[derive(Debug, Clone, PartialEq)]
-enum Arrangement {
+/// What the samples of a camera raw file are.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Raw {
     /// One sample for each pixel, behind a colour filter.
     Mosaic(Pattern),
     /// Three samples for each pixel.
@@ -65,7 +68,7 @@ enum Arrangement {
 #[derive(Debug, Clone, PartialEq)]
 struct Sensor {
     values: Values,
-    arrangement: Arrangement,
+    kind: Raw,
     /// The part of the picture with an image; the rest is masked.
     active: Area,
     /// The part of the active area that developers show.
@@ -88,6 +91,8 @@ pub(super) struct Developed {
     pub needed: u64,
     /// The colours of the camera, with the white of the photograph.
     pub profile: Option<Profile>,
+    /// What was measured at each pixel.
+    pub raw: Raw,
 }
 
 /// Reads the DNG file `bytes`.
@@ -102,16 +107,20 @@ pub(super) fn develop(bytes: &[u8], limits: &Limits) -> Result<Developed, Reason
     let Area { left, top, width, height } = sensor.crop;
     let encoding = Encoded::new();
     let encoded = |[r, g, b]: [f32; 3]| [encoding.of(r), encoding.of(g), encoding.of(b)];
-    let pixels = match &sensor.arrangement {
-        Arrangement::Mosaic(pattern) => demosaic::demosaic(&linear, pattern, balance, sensor.crop, encoded),
-        Arrangement::Rgb => {
+    let pixels = match &sensor.kind {
+        Raw::Mosaic(pattern) => demosaic::demosaic(&linear, pattern, balance, sensor.crop, encoded),
+        Raw::Rgb => {
             let rows = (top..top + height).flat_map(|y| &linear.row(y).as_chunks::<3>().0[left..left + width]);
             rows.map(|&pixel| encoded(balance.pixel(pixel))).collect()
         }
     };
     let samples = pixels.into_flattened();
     let profile = Profile::of(&sensor.colour.primaries, Curve::Srgb, "camera");
-    Ok(Developed { width, height, samples, needed, profile })
+    let raw = match sensor.kind {
+        Raw::Mosaic(pattern) => Raw::Mosaic(pattern.seen(|x, y| (left + x, top + y))),
+        Raw::Rgb => Raw::Rgb,
+    };
+    Ok(Developed { width, height, samples, needed, profile, raw })
 }
 
 /// The sRGB curve in steps that are fine enough for 16 bits.
@@ -122,7 +131,9 @@ impl Encoded {
     const STEPS: usize = 4096;
 
     fn new() -> Self {
-        let of = |i: usize| 65535.0 * linear_to_srgb(stretch::linear(i as f64 / Self::STEPS as f64)) as f32;
+        let scale = Scale::of_sensor();
+        let linear = |i: usize| f64::from(scale.linear(i as f32 / Self::STEPS as f32));
+        let of = |i: usize| 65535.0 * linear_to_srgb(linear(i)) as f32;
         Encoded((0..=Self::STEPS).map(of).chain([65535.0]).collect())
     }
 

@@ -5,11 +5,11 @@
 use crate::bracket::raw::Reason;
 
 /// Red, green or blue: 0, 1 or 2.
-pub(super) type Colour = usize;
+pub(crate) type Colour = usize;
 
 /// A repeated pattern of colour filters.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Pattern {
+pub struct Pattern {
     /// Width and height of the part that repeats.
     size: (usize, usize),
     /// Its colours, row by row.
@@ -36,9 +36,26 @@ impl Pattern {
         if is_bayer { Ok(Pattern { size, colours }) } else { Err(unsupported()) }
     }
 
+    /// The Bayer pattern with these colours in its first row and its second.
+    #[cfg(test)]
+    pub(crate) fn bayer(colours: [u64; 4]) -> Self {
+        Pattern::new((2, 2), &colours).expect("a Bayer pattern")
+    }
+
+    /// The pattern of a picture whose pixel (x, y) is the pixel `stored(x, y)` of this pattern. `stored` moves, turns
+    /// or mirrors pictures.
+    pub(crate) fn seen(&self, stored: impl Fn(usize, usize) -> (usize, usize)) -> Self {
+        let (width, height) = self.size;
+        let colour = |i: usize| {
+            let (x, y) = stored(i % width, i / width);
+            self.at(x, y)
+        };
+        Pattern { size: self.size, colours: (0..width * height).map(colour).collect() }
+    }
+
     /// The colour of the pixel (x, y).
     #[inline(always)]
-    pub(super) fn at(&self, x: usize, y: usize) -> Colour {
+    pub(crate) fn at(&self, x: usize, y: usize) -> Colour {
         self.colours[(y % self.size.1) * self.size.0 + x % self.size.0]
     }
 }

@@ -84,7 +84,7 @@ pub(crate) fn merged(
     let factor = calibrated.or(options.unit_exposure.map(normalised));
     let mut outside = 0;
     // The primaries of a sensor are not those of a space in which pictures are kept.
-    let colour = options.colour.or(bracket.reference().is_raw.then_some(Space::Srgb));
+    let colour = options.colour.or(bracket.reference().is_raw().then_some(Space::Srgb));
     if colour.is_some() || factor.is_some() {
         rows = rows.changed(|_, map| {
             let (mut map, drawn) = match colour {

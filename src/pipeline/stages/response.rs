@@ -84,7 +84,7 @@ pub(crate) fn find(
 
 /// The model of the response: that of the options, or sRGB for raw files, which are encoded with it.
 fn model(bracket: &Bracket, options: &Options) -> ResponseModel {
-    if bracket.reference().is_raw { ResponseModel::Srgb } else { options.response.clone() }
+    if bracket.reference().is_raw() { ResponseModel::Srgb } else { options.response.clone() }
 }
 
 /// Returns a warning if the response `saved` in the file `path` is of another camera than `capture`; `None` if one of

@@ -52,7 +52,7 @@ fn files_are_read_as_camera_raw_in_any_encoding() {
         let options = LoadOptions { ev: Some(vec![0.0, 1.0]), ..LoadOptions::default() };
         let (bracket, _) = load(&paths, &options).unwrap();
         let frame = &bracket.frames()[0];
-        assert_eq!((frame.width(), frame.height(), frame.is_raw), (SIZE.0, SIZE.1, true));
+        assert_eq!((frame.width(), frame.height(), frame.is_raw()), (SIZE.0, SIZE.1, true));
         let profile = frame.profile.as_ref().and_then(|profile| profile.primaries.as_ref());
         assert!(profile.unwrap().is_close(&Primaries::SRGB, 1e-4), "{profile:?}");
         let whole = frame.whole().unwrap();
