@@ -214,6 +214,20 @@ pub enum Warning {
         /// The profile of the reference.
         kept: String,
     },
+    /// Shots were given as camera raw files and as other files; the raw files are used.
+    #[error("{}: not used{}, because the camera raw file of the same shot was given too ({})",
+        path.display(),
+        if *count > 1 { format!(", like {} other file{}", count - 1, if *count > 2 { "s" } else { "" }) } else { String::new() },
+        raw.display()
+    )]
+    RawPreferred {
+        /// The first file that is not used.
+        path: PathBuf,
+        /// The raw file of the same shot.
+        raw: PathBuf,
+        /// The number of files that are not used.
+        count: usize,
+    },
     /// A part of a file was not read, was assumed, or was changed, such as metadata or pixels that are not numbers.
     #[error("{}: {detail}", path.display())]
     Metadata {
@@ -286,6 +300,7 @@ impl Warning {
             Warning::FrameAssumed { is_still: true, .. }
                 | Warning::ProfilesDiffer { .. }
                 | Warning::Metadata { .. }
+                | Warning::RawPreferred { .. }
                 | Warning::FusedAsIs { .. }
                 | Warning::OutOfGamut { .. }
                 | Warning::NotEnlarged { .. }

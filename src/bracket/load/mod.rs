@@ -12,6 +12,7 @@
 pub(crate) mod copies;
 mod exposures;
 mod picture;
+mod twins;
 
 use super::exposure::{Exposure, ExposureSource, ExposureTags, MOST_EV};
 use super::window::Store;
@@ -111,6 +112,9 @@ pub(crate) fn load_for(
         let source = io::Error::new(io::ErrorKind::IsADirectory, reason);
         return Err(Error::Read { path: path.clone(), source });
     }
+    let all = paths.len();
+    let (kept, preferred) = twins::without_twins(paths);
+    let paths: &[PathBuf] = &kept.iter().map(|&i| paths[i].clone()).collect::<Vec<_>>();
     if paths.len() < 2 {
         return Err(Error::TooFewFrames { given: paths.len() });
     }
@@ -121,7 +125,8 @@ pub(crate) fn load_for(
         );
         return Err(Error::Option { option: "IMAGES", reason });
     }
-    let given = options.ev.as_ref().map(|ev| given_exposures(ev, paths.len())).transpose()?;
+    let given = options.ev.as_ref().map(|ev| given_exposures(ev, all)).transpose()?;
+    let given: Option<Vec<Exposure>> = given.map(|given| kept.iter().map(|&i| given[i].clone()).collect());
     refuse_same_files(paths)?;
 
     let done = AtomicUsize::new(0);
@@ -143,7 +148,7 @@ pub(crate) fn load_for(
     check_sizes(&pictures)?;
     widen_mixed_depths(&mut pictures, on_disk.as_ref().map(|on_disk| &on_disk.scratch))?;
 
-    let mut warnings = Vec::new();
+    let mut warnings = Vec::from_iter(preferred);
     let copies = copies::find(&pictures.iter().map(Picture::look).collect::<Vec<_>>())?;
     warnings.extend(copies.iter().map(Copied::warning));
     let exposures = match given {
