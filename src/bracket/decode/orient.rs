@@ -4,7 +4,10 @@
 //! Source: EXIF 2.32, tag 274, which gives the displayed side of row 0 and column 0 of the stored image.
 
 use crate::bracket::{Raw, Samples};
+use rayon::prelude::*;
 
+/// Rows that are turned at a time.
+const BAND: usize = 16;
 /// Columns and rows in which every pattern of colour filters repeats.
 const PERIOD: usize = 6;
 
@@ -21,18 +24,21 @@ pub(super) fn apply(samples: Samples, width: usize, height: usize, orientation: 
     (turned, seen_width, seen_height)
 }
 
-fn turn<T: Copy>(stored: &[T], width: usize, height: usize, orientation: u32) -> Vec<T> {
+fn turn<T: Copy + Default + Send + Sync>(stored: &[T], width: usize, height: usize, orientation: u32) -> Vec<T> {
     let (pixels, _) = stored.as_chunks::<3>();
-    let (right, bottom) = (width - 1, height - 1);
-    let mut seen = Vec::with_capacity(stored.len());
-    let (seen_width, seen_height) = if orientation >= 5 { (height, width) } else { (width, height) };
-    for y in 0..seen_height {
+    let last = (width - 1, height - 1);
+    let seen_width = if orientation >= 5 { height } else { width };
+    let mut seen = vec![[T::default(); 3]; pixels.len()];
+    seen.par_chunks_mut(BAND * seen_width).enumerate().for_each(|(band, rows)| {
+        // Column by column: where a stored row is displayed as a column, a band of it is read at once.
         for x in 0..seen_width {
-            let (column, row) = stored_position((x, y), (right, bottom), orientation);
-            seen.extend_from_slice(&pixels[row * width + column]);
+            for (y, row) in rows.chunks_exact_mut(seen_width).enumerate() {
+                let (column, line) = stored_position((x, band * BAND + y), last, orientation);
+                row[x] = pixels[line * width + column];
+            }
         }
-    }
-    seen
+    });
+    seen.into_flattened()
 }
 
 /// Returns the colour filters of the upright image. `size` is the width and height of the stored one.
