@@ -2,6 +2,8 @@
 //!
 //! The planes and frames are those of `testdata/window`, mirrored along both axes to about 3.8 MP.
 
+use ::tiff::encoder::{SRational, TiffEncoder, colortype::Gray16};
+use ::tiff::tags::Tag;
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use hdralign::align::agreement::check_tiles;
 use hdralign::align::bitmaps::{MtbOptions, ThresholdBitmaps};
@@ -29,6 +31,7 @@ use hdralign::response::{ResponseCurve, ResponseModel, ratios, recover_from};
 use hdralign::tonemap::{Operator, tonemap};
 use hdralign::write::{self, Metadata, exr, hdr, tiff};
 use std::hint::black_box;
+use std::io::Cursor;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -274,6 +277,12 @@ fn radiance(c: &mut Criterion) {
     group.bench_function("tonemap", |b| b.iter(|| tonemap(black_box(&map), None, &Operator::default())));
     let picture = tonemap(&map, None, &Operator::default());
     let folder = tempfile::tempdir().expect("a temporary folder");
+    let raw: Vec<PathBuf> = (0..2).map(|i| folder.path().join(format!("{i}.dng"))).collect();
+    let shots = bracket.frames().iter().zip(&raw);
+    shots.for_each(|(frame, path)| std::fs::write(path, mosaic(frame)).expect("a file"));
+    let given = LoadOptions { ev: Some(vec![0.0, 2.0]), ..LoadOptions::default() };
+    group.throughput(Throughput::Elements(2 * pixels(&bracket)));
+    group.bench_function("load raw", |b| b.iter(|| load(black_box(&raw), &given)));
     let metadata = Metadata::of(bracket.reference());
     let floats = exr::Options { sample: exr::Sample::Float, ..exr::Options::default() };
     for (what, names, exr) in [
@@ -293,6 +302,29 @@ fn radiance(c: &mut Criterion) {
     }
 }
 
+/// Returns a Bayer mosaic of `frame`, in a DNG file of a camera with the primaries of sRGB.
+fn mosaic(frame: &Frame) -> Vec<u8> {
+    let whole = frame.whole().expect("in memory");
+    let Codes::Eight(codes) = whole.codes() else { panic!("testdata/window is of 8 bit") };
+    let (width, height) = (frame.width(), frame.height());
+    let sample = |i: usize| 16 * u16::from(codes[3 * i + (i % width % 2 + i / width % 2)]);
+    let samples: Vec<u16> = (0..width * height).map(sample).collect();
+    // From XYZ to linear sRGB (IEC 61966-2-1), in 1 / 10,000.
+    let matrix = [32406, -15372, -4986, -9689, 18758, 415, 557, -2040, 10570].map(|n| SRational { n, d: 10_000 });
+    let mut bytes = Cursor::new(Vec::new());
+    let mut encoder = TiffEncoder::new(&mut bytes).expect("a TIFF");
+    let mut picture = encoder.new_image::<Gray16>(width as u32, height as u32).expect("a size");
+    let tags = picture.encoder();
+    tags.write_tag(Tag::PhotometricInterpretation, 32803u16).expect("a tag");
+    tags.write_tag(Tag::Unknown(33421), &[2u16, 2][..]).expect("a tag");
+    tags.write_tag(Tag::Unknown(33422), &[0u8, 1, 1, 2][..]).expect("a tag");
+    tags.write_tag(Tag::Unknown(50706), &[1u8, 4, 0, 0][..]).expect("a tag");
+    tags.write_tag(Tag::Unknown(50717), 4080u16).expect("a tag");
+    tags.write_tag(Tag::Unknown(50721), &matrix[..]).expect("a tag");
+    picture.write_data(&samples).expect("a TIFF");
+    bytes.into_inner()
+}
+
 /// Measures decoding of photographs, and writing and reading of radiance maps in each encoding.
 fn files(c: &mut Criterion) {
     let images = paths();
@@ -305,6 +337,12 @@ fn files(c: &mut Criterion) {
     let (map, _) = merge(&bracket, &placed, &ResponseCurve::srgb(), &options, None).expect("a whole region");
     let picture = tonemap(&map, None, &Operator::default());
     let folder = tempfile::tempdir().expect("a temporary folder");
+    let raw: Vec<PathBuf> = (0..2).map(|i| folder.path().join(format!("{i}.dng"))).collect();
+    let shots = bracket.frames().iter().zip(&raw);
+    shots.for_each(|(frame, path)| std::fs::write(path, mosaic(frame)).expect("a file"));
+    let given = LoadOptions { ev: Some(vec![0.0, 2.0]), ..LoadOptions::default() };
+    group.throughput(Throughput::Elements(2 * pixels(&bracket)));
+    group.bench_function("load raw", |b| b.iter(|| load(black_box(&raw), &given)));
     let metadata = Metadata::of(bracket.reference());
     let exr = |sample, compression| write::Options { exr: exr::Options { sample, compression }, ..Default::default() };
     let hdr = |hdr| write::Options { hdr, ..Default::default() };

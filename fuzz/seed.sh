@@ -12,7 +12,7 @@ mkdir -p "$corpus/photograph" "$corpus/plans"
 scratch=$(mktemp -d)
 TMPDIR=$scratch ASAN_OPTIONS=detect_leaks=0 HDRALIGN_FUZZ_SEEDS=$corpus "$target"
 rm -rf "$scratch"
-cp ../tests/fixtures/*.jpg "$corpus/photograph/"
+cp ../tests/fixtures/*.jpg ../tests/fixtures/raw/*.dng "$corpus/photograph/"
 # The photographs of testdata are too long to be changed byte by byte; what stands before their pixels is not.
 for photograph in ../testdata/window/*.jpg; do
     head -c 4096 "$photograph" >"$corpus/photograph/head-$(basename "$photograph")"

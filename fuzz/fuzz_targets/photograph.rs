@@ -1,6 +1,6 @@
 //! Photographs: the bytes of a file through the header, the decoders, EXIF and ICC.
 //!
-//! In: a JPEG, PNG or TIFF; a TIFF is also used as an EXIF block, and an ICC profile as that of a small JPEG.
+//! In: a JPEG, PNG, TIFF or DNG; a TIFF is also used as an EXIF block, and an ICC profile as that of a small JPEG.
 //! Checked: no panic, no hang, no allocation beyond the size; a loaded picture has the size and depth of its header;
 //! exposures are finite; errors name the file.
 #![no_main]

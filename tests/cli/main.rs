@@ -25,6 +25,7 @@ mod page;
 mod phones;
 mod pictures;
 mod places;
+mod raw;
 mod refusals;
 mod report;
 mod response;
