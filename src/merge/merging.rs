@@ -13,7 +13,7 @@ use super::mean::{Bounds, Means};
 use super::rows::MergedRow;
 use super::{MergeOptions, Merged, RadianceMap};
 use crate::align::{Alignment, Rect};
-use crate::bracket::{Bracket, MergedMosaic, Raw};
+use crate::bracket::{Bracket, MergedMosaic};
 use crate::error::{Error, Result};
 use crate::plane::Plane;
 use crate::response::ResponseCurve;
@@ -109,7 +109,7 @@ impl<'a> Merging<'a> {
     fn mosaic(&self, curve: &ResponseCurve) -> Option<MergedMosaic> {
         let frames = || self.frames.iter().map(|&i| &self.bracket.frames()[i]);
         let raw = self.bracket.reference().raw.as_ref();
-        let Some(Raw::Mosaic(pattern)) = raw else { return None };
+        let pattern = raw?.pattern.as_ref()?;
         let is_measured = |layer: &Layer| layer.is_still() && layer.fill.is_none();
         if !(self.layers.iter().all(is_measured) && frames().all(|frame| frame.raw.as_ref() == raw)) {
             return None;

@@ -253,13 +253,14 @@ mod tests {
         let (bracket, mut alignment) =
             still((50, 90), &[0.5, 2.0], |x, y| [0.01 * (x % 9) as f64, 0.02 * (y % 11) as f64, 0.1 * (x % 2) as f64]);
         let pattern = Pattern::bayer([0, 1, 1, 2]);
-        let raw = |raw: Raw| {
+        let raw = |pattern: Option<Pattern>| {
+            let raw = Raw { pattern, white: [0.5, 1.0, 0.7] };
             let mut frames = bracket.frames().to_vec();
             frames.iter_mut().for_each(|frame| frame.raw = Some(raw.clone()));
             Bracket::new(frames, &ReferenceChoice::Number(2)).unwrap()
         };
-        let (pixel_by_pixel, counts) = run(&raw(Raw::Rgb), &alignment, Weight::Noise);
-        let bracket = raw(Raw::Mosaic(pattern.clone()));
+        let (pixel_by_pixel, counts) = run(&raw(None), &alignment, Weight::Noise);
+        let bracket = raw(Some(pattern.clone()));
         let region = Rect { x0: 3, y0: 5, ..alignment.overlap };
         let options = MergeOptions { weight: Weight::Noise, region };
         let curve = ResponseCurve::srgb();
@@ -280,7 +281,7 @@ mod tests {
         // A frame that moved has no measured value at some pixels.
         alignment.placements[0] = Placement::by_user(Transform::Rigid { dx: 0.0, dy: 0.0, angle: 0.0 });
         let moved = run(&bracket, &alignment, Weight::Noise);
-        assert_eq!(moved, run(&raw(Raw::Rgb), &alignment, Weight::Noise), "frames are merged pixel by pixel");
+        assert_eq!(moved, run(&raw(None), &alignment, Weight::Noise), "frames are merged pixel by pixel");
     }
 
     #[test]

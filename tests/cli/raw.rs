@@ -77,3 +77,27 @@ fn damaged_raw_files_are_named_and_nothing_is_written() {
         assert!(folder.listing().iter().all(|(name, _)| !name.contains("x.exr")), "{:?}", folder.listing());
     }
 }
+
+#[test]
+fn frames_have_the_white_of_the_reference_whatever_the_camera_chose() {
+    let folder = folder();
+    // AsShotNeutral: three fractions of 32 bits each, in another place.
+    let mut bytes = FIXTURES[0].1.to_vec();
+    let tag = [0x28, 0xC6, 5, 0, 3, 0, 0, 0];
+    let entry = bytes.windows(8).position(|window| window == tag).unwrap();
+    let number = |bytes: &[u8], at: usize| u32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
+    let red = number(&bytes, entry + 8) as usize;
+    let changed = number(&bytes, red) / 10 * 9;
+    bytes[red..red + 4].copy_from_slice(&changed.to_le_bytes());
+    folder.put("other.dng", &bytes);
+    let merge = |first: &str, out: &str| {
+        folder.line(&format!("merge {first} tiles-1.dng --reference tiles-1.dng --align none -o {out} -q")).done();
+        read(&folder.at(out)).unwrap().0
+    };
+    let (same, other) = (merge("tiles-0.dng", "same.exr"), merge("other.dng", "other.exr"));
+    // The code values are rounded once more, and values below black were cut in other places.
+    for (a, b) in same.pixels.as_slice().iter().zip(other.pixels.as_slice()) {
+        assert!((0..3).all(|c| (a[c] / b[c] - 1.0).abs() < 5e-3), "{a:?} {b:?}");
+    }
+    check_halves(mean(&other, 2..14, 2..12), mean(&other, 22..36, 2..12));
+}

@@ -3,7 +3,7 @@
 //! In: interleaved RGB and the EXIF orientation, 1 to 8. Out: the upright image. Cost: none for 1, else one copy.
 //! Source: EXIF 2.32, tag 274, which gives the displayed side of row 0 and column 0 of the stored image.
 
-use crate::bracket::{Raw, Samples};
+use crate::bracket::{Pattern, Raw, Samples};
 use rayon::prelude::*;
 
 /// Rows that are turned at a time.
@@ -43,14 +43,10 @@ fn turn<T: Copy + Default + Send + Sync>(stored: &[T], width: usize, height: usi
 
 /// Returns the colour filters of the upright image. `size` is the width and height of the stored one.
 pub(super) fn turned(raw: Raw, size: (usize, usize), orientation: u32) -> Raw {
-    match raw {
-        Raw::Mosaic(pattern) => {
-            // The pattern repeats, so a picture that is larger by a multiple of its size has the same.
-            let (right, bottom) = (size.0 - 1 + 2 * PERIOD, size.1 - 1 + 2 * PERIOD);
-            Raw::Mosaic(pattern.seen(|x, y| stored_position((x, y), (right, bottom), orientation)))
-        }
-        Raw::Rgb => Raw::Rgb,
-    }
+    // The pattern repeats, so a picture that is larger by a multiple of its size has the same.
+    let last = (size.0 - 1 + 2 * PERIOD, size.1 - 1 + 2 * PERIOD);
+    let upright = |pattern: Pattern| pattern.seen(|x, y| stored_position((x, y), last, orientation));
+    Raw { pattern: raw.pattern.map(upright), ..raw }
 }
 
 /// Returns column and row, as stored, of the pixel displayed at column and row (x, y). The last stored column and row
@@ -75,7 +71,6 @@ pub(super) fn stored_position(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bracket::Pattern;
 
     /// For each orientation, the side on which row 0 and column 0 of the stored image are displayed, in the words of
     /// EXIF 2.32.
@@ -135,9 +130,8 @@ mod tests {
             for orientation in 0..=8 {
                 let (seen, w, h) = apply(Samples::Eight(colours.clone()), width, height, orientation);
                 let Samples::Eight(seen) = seen else { panic!("the depth is kept") };
-                let Raw::Mosaic(turned) = turned(Raw::Mosaic(pattern.clone()), (width, height), orientation) else {
-                    panic!("a mosaic stays a mosaic")
-                };
+                let raw = Raw { pattern: Some(pattern.clone()), white: [1.0; 3] };
+                let turned = turned(raw, (width, height), orientation).pattern.unwrap();
                 for (i, pixel) in seen.chunks_exact(3).enumerate() {
                     assert_eq!(usize::from(pixel[0]), turned.at(i % w, i / w), "{width}x{height}, {orientation}");
                 }

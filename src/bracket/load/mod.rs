@@ -13,6 +13,7 @@ pub(crate) mod copies;
 mod exposures;
 mod picture;
 mod twins;
+mod white;
 
 use super::exposure::{Exposure, ExposureSource, ExposureTags, MOST_EV};
 use super::window::Store;
@@ -176,7 +177,8 @@ pub(crate) fn load_for(
             frame
         })
         .collect();
-    let bracket = Bracket { on_disk, ..Bracket::new(frames, &options.reference)? };
+    let mut bracket = Bracket { on_disk, ..Bracket::new(frames, &options.reference)? };
+    white::as_in_reference(&mut bracket)?;
     for frame in bracket.frames() {
         warnings.extend(notes.remove(frame.path()).unwrap_or_default());
     }

@@ -7,7 +7,7 @@ use super::chunks::{self, Encoding};
 use super::colour::CameraColour;
 use super::levels::Levels;
 use super::tags::{self, Tags, tag};
-use super::{Area, Pattern, Raw, Reason, Sensor, opcodes};
+use super::{Area, Pattern, Reason, Sensor, opcodes};
 use crate::limits::Limits;
 use std::io::{Cursor, Read, Seek};
 
@@ -28,14 +28,14 @@ pub(super) fn read(bytes: &[u8], limits: &Limits) -> Result<(Sensor, u64), Reaso
     let pixels = width as u64 * height as u64;
     let needed = bytes.len() as u64 + pixels * (SAMPLE_BYTES * samples + PIXEL_BYTES);
     limits.check_memory((width, height), needed)?;
-    let kind = kind(&mut tags)?;
+    let pattern = pattern(&mut tags)?;
     let active = active(&mut tags, (width, height))?;
     let crop = crop(&mut tags, active)?;
     let levels = Levels::read(&mut tags, samples as usize)?;
     let colour = CameraColour::read(&mut tags)?;
     let gains = opcodes::read(&mut tags)?;
     let values = chunks::read(bytes, &mut tags)?;
-    Ok((Sensor { values, kind, active, crop, levels, gains, colour }, needed))
+    Ok((Sensor { values, pattern, active, crop, levels, gains, colour }, needed))
 }
 
 /// The width and height of the picture that developers show, and why [`read`] would reject this kind of file.
@@ -47,22 +47,22 @@ pub(in crate::bracket) fn head(reader: impl Read + Seek) -> Result<((usize, usiz
     let size = tags.size()?;
     let active = active(&mut tags, size)?;
     let Area { width, height, .. } = crop(&mut tags, active)?;
-    let refused = kind(&mut tags).err().or_else(|| Encoding::read(&mut tags).err());
+    let refused = pattern(&mut tags).err().or_else(|| Encoding::read(&mut tags).err());
     let refused = refused.or_else(|| CameraColour::read(&mut tags).err());
     Ok(((width, height), refused))
 }
 
-/// What the samples are.
-fn kind<R: Read + Seek>(tags: &mut Tags<R>) -> Result<Raw, Reason> {
+/// The colour filters; none if there are three samples for each pixel.
+fn pattern<R: Read + Seek>(tags: &mut Tags<R>) -> Result<Option<Pattern>, Reason> {
     let samples = tags.number_or(tag::SAMPLES_PER_PIXEL, 1)?;
     match (tags.number(tag::PHOTOMETRIC)?, samples) {
         (tags::MOSAIC, 1) => {
             let dimensions = tags.numbers(tag::PATTERN_SIZE).unwrap_or_else(|| vec![2, 2]);
             let colours = tags.numbers(tag::PATTERN).ok_or_else(tags::damaged)?;
             let [rows, columns] = dimensions[..] else { return Err(tags::damaged()) };
-            Ok(Raw::Mosaic(Pattern::new((columns as usize, rows as usize), &colours)?))
+            Ok(Some(Pattern::new((columns as usize, rows as usize), &colours)?))
         }
-        (tags::LINEAR, 3) => Ok(Raw::Rgb),
+        (tags::LINEAR, 3) => Ok(None),
         (tags::MOSAIC | tags::LINEAR, _) => Err(format!(
             "its raw data has {samples} samples per pixel, which is not supported; develop it to 16-bit TIFF first"
         )),

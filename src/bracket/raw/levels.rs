@@ -5,7 +5,7 @@
 //! Linear Reference Values".
 
 use super::tags::{Tags, damaged, tag};
-use super::{Raw, Reason, Sensor, Values};
+use super::{Reason, Sensor, Values};
 use crate::plane::Plane;
 use rayon::prelude::*;
 use std::io::{Read, Seek};
@@ -140,9 +140,9 @@ pub(super) fn linear(sensor: &Sensor) -> Result<Plane<f32>, Reason> {
 /// The linear value from which each colour is clipped: where the values of the colour pile up near white, or else
 /// white.
 pub(super) fn clip(linear: &Plane<f32>, sensor: &Sensor) -> [f32; 3] {
-    let colour = |i: usize, y: usize| match &sensor.kind {
-        Raw::Mosaic(pattern) => pattern.at(i, y),
-        Raw::Rgb => i % 3,
+    let colour = |i: usize, y: usize| match &sensor.pattern {
+        Some(pattern) => pattern.at(i, y),
+        None => i % 3,
     };
     let scale = CLASSES as f32 / (HIGHEST_CLIP - LOWEST_CLIP);
     let counts: Vec<[[u32; CLASSES]; 3]> = linear

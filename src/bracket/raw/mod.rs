@@ -55,20 +55,21 @@ enum Values {
     Floats(Plane<f32>),
 }
 
-/// What the samples of a camera raw file are.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Raw {
-    /// One sample for each pixel, behind a colour filter.
-    Mosaic(Pattern),
-    /// Three samples for each pixel.
-    Rgb,
+/// What a frame keeps of the camera raw file from which it was developed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Raw {
+    /// The colour filters in front of the pixels; none if each pixel was measured in three colours.
+    pub pattern: Option<Pattern>,
+    /// RGB of white in the colours of the camera; the largest is 1. Pixel values are divided by it.
+    pub white: [f32; 3],
 }
 
 /// The samples of a raw file, and what the file says about them.
 #[derive(Debug, Clone, PartialEq)]
 struct Sensor {
     values: Values,
-    kind: Raw,
+    /// The colour filters; none if there are three samples for each pixel.
+    pattern: Option<Pattern>,
     /// The part of the picture with an image; the rest is masked.
     active: Area,
     /// The part of the active area that developers show.
@@ -91,7 +92,7 @@ pub(super) struct Developed {
     pub needed: u64,
     /// The colours of the camera, with the white of the photograph.
     pub profile: Option<Profile>,
-    /// What was measured at each pixel.
+    /// The colour filters and the white.
     pub raw: Raw,
 }
 
@@ -107,19 +108,17 @@ pub(super) fn develop(bytes: &[u8], limits: &Limits) -> Result<Developed, Reason
     let Area { left, top, width, height } = sensor.crop;
     let encoding = Encoded::new();
     let encoded = |[r, g, b]: [f32; 3]| [encoding.of(r), encoding.of(g), encoding.of(b)];
-    let pixels = match &sensor.kind {
-        Raw::Mosaic(pattern) => demosaic::demosaic(&linear, pattern, balance, sensor.crop, encoded),
-        Raw::Rgb => {
+    let pixels = match &sensor.pattern {
+        Some(pattern) => demosaic::demosaic(&linear, pattern, balance, sensor.crop, encoded),
+        None => {
             let rows = (top..top + height).flat_map(|y| &linear.row(y).as_chunks::<3>().0[left..left + width]);
             rows.map(|&pixel| encoded(balance.pixel(pixel))).collect()
         }
     };
     let samples = pixels.into_flattened();
     let profile = Profile::of(&sensor.colour.primaries, Curve::Srgb, "camera");
-    let raw = match sensor.kind {
-        Raw::Mosaic(pattern) => Raw::Mosaic(pattern.seen(|x, y| (left + x, top + y))),
-        Raw::Rgb => Raw::Rgb,
-    };
+    let pattern = sensor.pattern.map(|pattern| pattern.seen(|x, y| (left + x, top + y)));
+    let raw = Raw { pattern, white: sensor.colour.neutral };
     Ok(Developed { width, height, samples, needed, profile, raw })
 }
 
