@@ -10,7 +10,7 @@
 //! 1. `dng`: the [`Sensor`]: sample values as stored (`chunks`), and what the file says about them (`tags`).
 //! 2. `levels`: linear values, 0 for black and 1 for white; `opcodes` brightens what the lens has darkened.
 //! 3. `colour`: white balance, and the meaning of the colours; values are put on the scale of `stretch`.
-//! 4. `demosaic`: three colours for each pixel.
+//! 4. `demosaic`: three colours for each pixel. `merged_mosaic`: the same once more, for the mean of unmoved frames.
 
 mod chunks;
 mod colour;
