@@ -95,7 +95,7 @@ pub enum Error {
         given: usize,
     },
     /// The frames have different sizes.
-    #[error("{}: is {}x{} pixels, but {} is {}x{}; all frames of a bracket must have the same size (after rotation by their EXIF orientation)",
+    #[error("{}: is {}x{} pixels, but {} is {}x{}; all frames of a bracket must have the same size (after rotation by their EXIF orientation); leave out the files of another size",
             path.display(), size.0, size.1, other.display(), other_size.0, other_size.1)]
     SizeMismatch {
         /// The frame that differs.
