@@ -277,12 +277,6 @@ fn radiance(c: &mut Criterion) {
     group.bench_function("tonemap", |b| b.iter(|| tonemap(black_box(&map), None, &Operator::default())));
     let picture = tonemap(&map, None, &Operator::default());
     let folder = tempfile::tempdir().expect("a temporary folder");
-    let raw: Vec<PathBuf> = (0..2).map(|i| folder.path().join(format!("{i}.dng"))).collect();
-    let shots = bracket.frames().iter().zip(&raw);
-    shots.for_each(|(frame, path)| std::fs::write(path, mosaic(frame)).expect("a file"));
-    let given = LoadOptions { ev: Some(vec![0.0, 2.0]), ..LoadOptions::default() };
-    group.throughput(Throughput::Elements(2 * pixels(&bracket)));
-    group.bench_function("load raw", |b| b.iter(|| load(black_box(&raw), &given)));
     let metadata = Metadata::of(bracket.reference());
     let floats = exr::Options { sample: exr::Sample::Float, ..exr::Options::default() };
     for (what, names, exr) in [

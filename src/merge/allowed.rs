@@ -107,7 +107,7 @@ fn held(row: &Row) -> [f32; COLUMNS] {
 
 /// The differences between the reference and the mean in row `y` of the result.
 fn differences(merging: &Merging, reference: usize, curve: &ResponseCurve, y: usize) -> Result<Vec<Difference>> {
-    let merged = merging.slab(y..y + 1)?.map.pixels;
+    let merged = merging.pixel_by_pixel(y..y + 1, &(y..y + 1))?.map.pixels;
     let (layer, region) = (&merging.layers[reference], merging.region);
     let rows = region.y0 + y..region.y0 + y + 1;
     let window = layer.window(&(region.x0..region.x1), &rows)?;

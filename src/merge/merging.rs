@@ -223,7 +223,7 @@ impl<'a> Merging<'a> {
 
     /// Merges `rows` of the result, each pixel by itself. Pixels whose radiance is only a bound are counted in the rows
     /// `counted`.
-    fn pixel_by_pixel(&self, rows: Range<usize>, counted: &Range<usize>) -> Result<Slab> {
+    pub(super) fn pixel_by_pixel(&self, rows: Range<usize>, counted: &Range<usize>) -> Result<Slab> {
         let Rect { x0, y0, x1, .. } = self.region;
         let (first, columns) = (rows.start, x0..x1);
         let whole = y0 + rows.start..y0 + rows.end;

@@ -36,6 +36,8 @@
 //! - A frame with an [assumed](crate::align::Placement::Assumed) transform is not among the frames j: it fills what is
 //!   clipped, or black, in all frames j (`fill`).
 //! - If ghosts are removed, E is limited to what the code value of the reference frame allows (`allowed`).
+//! - If no frame of a bracket of raw mosaics moved, E is demosaiced once more, from the mean of all frames:
+//!   `MergedMosaic`.
 //! - In locally processed frames (those of phones with local tone mapping), X_j / dt_j and the radiances that u
 //!   compares are multiplied by the local [gain](local).
 //!

@@ -63,7 +63,7 @@ mod tests {
     const SIZE: (usize, usize) = (61, 300);
 
     fn pattern() -> Pattern {
-        Pattern::new((2, 2), &[1, 0, 2, 1]).unwrap()
+        Pattern::bayer([1, 0, 2, 1])
     }
 
     /// Radiance from 2^-8 to 2^8, with noise.
